@@ -1,0 +1,33 @@
+"""taichi_eye: mesh-free simulation of the ophthalmic air-puff test, and its film.
+
+    import taichi_eye
+    scene = taichi_eye.load_scene("configs/quick.toml", ["eye.iop_mmhg=20"])
+    result = taichi_eye.run(scene, out="renders/iop20")
+    result.traces["apex_displacement_mm"].max()
+
+`Simulation` is the coupled solver without film and files.
+"""
+import os
+
+# Taichi prints a banner on import unless told not to beforehand
+os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+
+from taichi_eye.errors import RunStopped, SceneError  # noqa: E402
+from taichi_eye.scene import Scene, dump_scene, load_scene  # noqa: E402
+
+__all__ = ["RunResult", "RunStopped", "Scene", "SceneError", "Simulation", "dump_scene", "init", "load_scene", "run"]
+__version__ = "0.1.0"
+
+
+def __getattr__(name):
+    # the solver and the renderer load Taichi and matplotlib: only once they are asked for
+    if name == "init":
+        from taichi_eye.backend import init
+        return init
+    if name == "Simulation":
+        from taichi_eye.solver.simulation import Simulation
+        return Simulation
+    if name in ("run", "RunResult"):
+        from taichi_eye import pipeline
+        return getattr(pipeline, name)
+    raise AttributeError(f"module 'taichi_eye' has no attribute {name!r}")

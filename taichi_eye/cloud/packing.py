@@ -1,0 +1,217 @@
+"""Boundary-conforming, relaxed node clouds for a meridional section.
+
+Collocation is as stable as its cloud is even: one gap under one wall node is enough for a local unstable mode, so the
+nodes are packed. Boundary nodes stand at equal arc length on the cornea, the rigid back and the axis; the inside
+starts as a hexagonal lattice and relaxes under a short-range pair repulsion, the boundary and the mirror images
+across the axis pushing too. Then the worst hole gets a node or the closest pair loses one, and the cloud relaxes
+again, until every hole and gap is within bounds. Nothing is random: the same section and spacing give the same cloud.
+"""
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import Delaunay, cKDTree
+
+from taichi_eye.eye.section import Section
+
+# what a node may do: move freely, follow the cornea, slide along a fixed direction, or stay
+FREE, WALL, SLIDE, FIXED = 0, 1, 2, 3
+
+HOLE_LIMIT = 0.78  # largest circumradius of an empty triangle, in spacings
+GAP_LIMIT = 0.62  # smallest distance between two nodes, in spacings
+SHORT_SIDE = 0.7  # in spacings
+REACH = 1.6  # of the repulsion, in spacings
+
+
+class CloudError(Exception):
+    """No acceptable cloud could be made for this section and spacing."""
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Nodes of one chamber at rest; all lengths in metres.
+
+    points [n, 2]; the first wall_count nodes are the cornea's, apex first, limbus last.
+    kind [n]: FREE, WALL, SLIDE (along direction [n, 2]) or FIXED. triangles [t, 3]: counter-clockwise.
+    wall_index [n], wall_fraction [n]: the cornea element above a node and the place within it;
+    height_fraction [n]: 0 on the rigid back, 1 on the cornea (the node motion, see `taichi_eye.solver.aqueous`).
+    """
+
+    section: Section
+    spacing: float
+    points: np.ndarray
+    wall_count: int
+    kind: np.ndarray
+    direction: np.ndarray
+    triangles: np.ndarray
+    wall_index: np.ndarray
+    wall_fraction: np.ndarray
+    height_fraction: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """Number of nodes."""
+        return len(self.points)
+
+
+def _steps(length, spacing):
+    """Into how many even steps a piece of boundary is cut: steps of about one spacing, never above 1.25."""
+    steps = max(round(length / spacing), 1)
+    return steps + 1 if length > 1.25 * spacing * steps else steps
+
+
+def _along(start, end, spacing):
+    """Points after `start` up to and including `end`, evenly spaced at about `spacing`."""
+    return np.linspace(start, end, _steps(np.linalg.norm(np.subtract(end, start)), spacing) + 1)[1:]
+
+
+def _lens_arc(section, spacing):
+    """Points on the lens cap from its rim (left out) to its pole."""
+    if section.lens_height <= 0.0:
+        return np.empty((0, 2))
+    opening = np.arcsin(section.lens_base_radius / section.lens_radius)
+    angle = np.linspace(opening, 0.0, _steps(section.lens_radius * opening, spacing) + 1)[1:]
+    centre = section.back_z + section.lens_height - section.lens_radius
+    return np.column_stack([section.lens_radius * np.sin(angle), centre + section.lens_radius * np.cos(angle)])
+
+
+def boundary(section: Section, spacing: float):
+    """Boundary nodes and what they may do: points [b, 2], kind [b], direction [b, 2], wall_count."""
+    limbus, back_z = section.limbus_radius, section.back_z
+    elements = _steps(section.radius * section.limbus_angle, spacing)
+    points, kind, direction = [], [], []
+
+    def add(nodes, what, slide=(0.0, 0.0)):
+        points.extend(nodes)
+        kind.extend([what] * len(nodes))
+        direction.extend([slide] * len(nodes))
+
+    add(section.cornea_nodes(elements), WALL)
+    kind[-1] = FIXED
+    corner = np.array([limbus, back_z])
+    # a side much shorter than a spacing has no room for a corner node of its own
+    if -back_z > SHORT_SIDE * spacing:
+        side = _along((limbus, 0.0), corner, spacing)
+        add(side[:-1], SLIDE, (0.0, 1.0))
+        add(side[-1:], FIXED)
+    rim = np.array([section.lens_base_radius, back_z])
+    plane = _along(corner, rim, spacing)
+    add(plane[:-1], SLIDE, (1.0, 0.0))
+    add(plane[-1:], FIXED)
+    arc = _lens_arc(section, spacing)
+    if len(arc):
+        centre = np.array([0.0, back_z + section.lens_height - section.lens_radius])
+        for point in arc[:-1]:
+            normal = (point - centre) / section.lens_radius
+            add([point], SLIDE, (normal[1], -normal[0]))
+        add(arc[-1:], FIXED)
+    axis = _along((0.0, points[-1][1]), (0.0, section.apex_z), spacing)[:-1]
+    add(axis, SLIDE, (0.0, 1.0))
+    return np.array(points), np.array(kind, dtype=np.int32), np.array(direction), elements + 1
+
+
+def _with_images(points, spacing):
+    """The points followed by their mirror images across the axis, as far as the repulsion reaches."""
+    near = points[(points[:, 0] > 0.0) & (points[:, 0] < 2.0 * spacing)]
+    return np.vstack([points, near * (-1.0, 1.0)])
+
+
+def _relax(section, fixed, inner, spacing, rounds):
+    """Move the inner nodes apart for `rounds` sweeps with steps that shrink to rest."""
+    reach = REACH * spacing
+    for sweep in range(rounds):
+        everyone = _with_images(np.vstack([fixed, inner]), spacing)
+        distance, other = cKDTree(everyone).query(inner, k=10, distance_upper_bound=reach)
+        felt = np.isfinite(distance) & (distance > 1e-9 * spacing)
+        away = inner[:, None] - everyone[np.where(felt, other, 0)]
+        distance = np.where(felt, distance, reach)
+        push = np.where(felt, (reach / distance - 1.0) ** 2, 0.0)
+        step = 0.15 * spacing * (push[..., None] * away / distance[..., None]).sum(1)
+        length = np.linalg.norm(step, axis=1, keepdims=True)
+        limit = (0.1 * (1.0 - sweep / rounds) + 0.002) * spacing
+        moved = inner + step * np.minimum(1.0, limit / np.maximum(length, 1e-300))
+        moved[:, 0] = np.maximum(moved[:, 0], 0.3 * spacing)
+        inside = section.wall_clearance(moved) > 0.3 * spacing
+        inner = np.where(inside[:, None], moved, inner)
+    return inner
+
+
+def triangulate(section: Section, points, spacing: float):
+    """Delaunay triangles inside the section, counter-clockwise: indices [t, 3]."""
+    corners = Delaunay(points).simplices
+    a, b, c = (points[corners[:, k]] for k in range(3))
+    twice = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    corners = np.where((twice > 0.0)[:, None], corners, corners[:, ::-1])
+    middle = (a + b + c) / 3.0
+    inside = (section.wall_clearance(middle) > -1e-3 * spacing) & (np.abs(twice) > 2e-3 * spacing**2)
+    return np.ascontiguousarray(corners[inside], dtype=np.int32)
+
+
+def circumradii(points, triangles):
+    """Circumradius of each triangle [m]: the radius of the empty disc between its corners."""
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    sides = [np.linalg.norm(p - q, axis=1) for p, q in ((a, b), (b, c), (c, a))]
+    area = 0.5 * np.abs((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0]))
+    return sides[0] * sides[1] * sides[2] / (4.0 * area)
+
+
+def _holes(section, points, spacing):
+    """The largest hole away from the boundary's own slivers: its radius and middle."""
+    everyone = _with_images(points, spacing)
+    triangles = triangulate(section, everyone, spacing)
+    middle = everyone[triangles].mean(1)
+    inside = (section.wall_clearance(middle) > 0.02 * spacing) & (middle[:, 0] >= 0.0)
+    radius = np.where(inside, circumradii(everyone, triangles), 0.0)
+    worst = int(np.argmax(radius))
+    return radius[worst], middle[worst]
+
+
+def pack(section: Section, spacing: float, rounds: int = 300, repairs: int = 40) -> Cloud:
+    """A packed cloud of the section at `spacing` [m].
+
+    Raises CloudError where holes or gaps cannot be repaired (the spacing is too coarse for the section).
+    """
+    fixed, kind, direction, wall_count = boundary(section, spacing)
+    row = spacing * np.sqrt(3.0) / 2.0
+    r, z = np.meshgrid(np.arange(spacing, section.limbus_radius + spacing, spacing),
+                       np.arange(section.back_z + row, section.apex_z, row))
+    r[1::2] -= 0.5 * spacing
+    inner = np.column_stack([r.ravel(), z.ravel()])
+    inner = inner[section.wall_clearance(inner) > 0.6 * spacing]
+    if len(inner) < 8:
+        raise CloudError(f"only {len(inner)} nodes fit inside the chamber at a spacing of {spacing * 1e3:g} mm")
+    inner = _relax(section, fixed, inner, spacing, rounds)
+    for _ in range(repairs):
+        points = np.vstack([fixed, inner])
+        hole, middle = _holes(section, points, spacing)
+        gap = cKDTree(_with_images(points, spacing)).query(inner, k=2)[0][:, 1]
+        if hole <= HOLE_LIMIT * spacing and gap.min() >= GAP_LIMIT * spacing:
+            break
+        if hole > HOLE_LIMIT * spacing:
+            inner = np.vstack([inner, middle])
+        else:
+            inner = np.delete(inner, np.argmin(gap), 0)
+        inner = _relax(section, fixed, inner, spacing, rounds // 2)
+    else:
+        raise CloudError(f"the cloud at a spacing of {spacing * 1e3:g} mm keeps a hole of {hole / spacing:.2f} or a "
+                         f"gap of {gap.min() / spacing:.2f} spacings")
+    inner = inner[np.lexsort((inner[:, 1], np.floor(inner[:, 0] / (3.0 * spacing))))]
+    return _finish(section, spacing, np.vstack([fixed, inner]), kind, direction, wall_count)
+
+
+def _finish(section, spacing, points, kind, direction, wall_count):
+    free = len(points) - len(kind)
+    kind = np.concatenate([kind, np.full(free, FREE, dtype=np.int32)])
+    direction = np.vstack([direction, np.zeros((free, 2))])
+    r, z = points[:, 0], points[:, 1]
+    place = np.arcsin(np.minimum(r / section.radius, 1.0)) / section.limbus_angle * (wall_count - 1)
+    wall_index = np.minimum(place.astype(np.int32), wall_count - 2)
+    gap = section.cornea_height(r) - section.back_height(r)
+    height = np.where(gap > 1e-6 * spacing, (z - section.back_height(r)) / np.maximum(gap, 1e-6 * spacing), 0.0)
+    height = np.clip(height, 0.0, 1.0)
+    fraction = np.clip(place - wall_index, 0.0, 1.0)
+    # wall nodes are the cornea's own nodes, without the rounding of the arcsine
+    wall_index[:wall_count] = np.minimum(np.arange(wall_count), wall_count - 2)
+    fraction[:wall_count] = np.arange(wall_count) - wall_index[:wall_count]
+    height[:wall_count] = 1.0
+    return Cloud(section, spacing, points, wall_count, kind, direction, triangulate(section, points, spacing),
+                 wall_index, fraction, height)

@@ -1,0 +1,34 @@
+"""The two errors that a user of taichi_eye meets: a scene that cannot be, and a run that left its validity."""
+
+from __future__ import annotations
+
+
+class SceneError(Exception):
+    """Bad input, refused before anything is written.
+
+    The message names the file (or `--set`), the key, its value and what is allowed; several problems stand one
+    to a line.
+    """
+
+
+class RunStopped(Exception):
+    """A run that left its validity and was stopped.
+
+    Attributes
+    ----------
+    what : str
+        What failed, e.g. "the membrane went slack".
+    where : str
+        Where, e.g. "membrane node 12, r = 0.61 mm".
+    time_ms : float
+        Simulated time of the failure [ms].
+    advice : str
+        What to change in the scene.
+    """
+
+    def __init__(self, what: str, where: str, time_ms: float, advice: str):
+        super().__init__(what, where, time_ms, advice)
+        self.what, self.where, self.time_ms, self.advice = what, where, float(time_ms), advice
+
+    def __str__(self) -> str:
+        return f"stopped at {self.time_ms:.4f} ms: {self.what} ({self.where}). {self.advice}"

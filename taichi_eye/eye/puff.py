@@ -1,0 +1,77 @@
+"""The load: air pressure on the cornea over time and place.
+
+Pressure on a material point of reference radius r at time t is p(t) f(r), over atmosphere. Time courses p:
+
+gaussian  Eq. 2 of Montanino, Angelillo and Pandolfi: pmax exp(-b (2t - T)^2/(4 T^2)). With their T = 30 ms, b = 25 and
+          pmax = 10 kPa it is centred at 15.00 ms with a standard deviation of 4.243 ms and a full width at half maximum
+          of 9.99 ms, and 19 Pa are left at t = 0.
+corvis    Measured course of the Corvis ST, fitted within 1.7 % rms: exp(-(|t - 16.15|/8.00)^2.59) before 16.15 ms,
+          exp(-((t - 16.15)/4.175)^1.547) after (t in ms); full width at half maximum 10.24 ms, measured 10.4. The
+          instrument's central pressure is 96.4 +- 1.4 mmHg, 12.85 kPa (Oehring 2021, doi 10.3390/app11062499).
+file      The user's table, linear between its rows and zero outside.
+
+Radial profiles f, fixed to the material points of the reference cap (r = R sin phi):
+
+paper     exp(-a sin^2 phi), same eq. 2; with a = 21.5 and R = 7.8 mm half the pressure is left at r = 1.40 mm, and the
+          peak force along the axis is 0.0889 N at 10 kPa.
+gaussian  exp(-r^2/w^2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from taichi_eye.scene import Scene
+from taichi_eye.scene.table import read_puff_file
+from taichi_eye.units import KPA, MM, MS
+
+CORVIS_PEAK_S = 16.15 * MS
+CORVIS_RISE = 8.00 * MS, 2.59          # width, power
+CORVIS_FALL = 4.175 * MS, 1.547
+
+
+@dataclass(frozen=True)
+class Puff:
+    """Pressure of the air puff, in SI; `Puff.from_scene` makes one.
+
+    radial_rate: the profile is exp(-radial_rate r^2) [1/m^2]; samples: the user's times [s] and pressures [Pa].
+    """
+
+    time_course: str
+    peak: float
+    duration: float
+    spread_b: float
+    radial_rate: float
+    samples: tuple[np.ndarray, np.ndarray] | None = None
+
+    @classmethod
+    def from_scene(cls, scene: Scene) -> "Puff":
+        """The puff that a resolved scene describes; SceneError where its pressure file has gone bad meanwhile."""
+        puff, samples = scene.puff, None
+        if puff.time_course == "file":
+            time_ms, pressure_kpa = read_puff_file(Path(puff.file))
+            samples = time_ms * MS, pressure_kpa * KPA
+        if puff.radial_profile == "paper":
+            rate = puff.spread_a / (scene.cornea.radius_mm * MM) ** 2
+        else:
+            rate = 1.0 / (puff.width_mm * MM) ** 2
+        return cls(puff.time_course, puff.peak_kpa * KPA, puff.duration_ms * MS, puff.spread_b, rate, samples)
+
+    def pressure_at_apex(self, t: ArrayLike) -> np.ndarray:
+        """Pressure [Pa] over atmosphere at the apex at time t [s]; any shape."""
+        t = np.asarray(t, dtype=float)
+        if self.samples is not None:
+            return np.interp(t, *self.samples, left=0.0, right=0.0)
+        if self.time_course == "corvis":
+            late = t - CORVIS_PEAK_S
+            width, power = (np.where(late < 0.0, *pair) for pair in zip(CORVIS_RISE, CORVIS_FALL))
+            return self.peak * np.exp(-((np.abs(late) / width) ** power))
+        return self.peak * np.exp(-self.spread_b * ((2.0 * t - self.duration) / (2.0 * self.duration)) ** 2)
+
+    def radial(self, r: ArrayLike) -> np.ndarray:
+        """Share of the apex pressure, without unit, on material points of reference radius r [m]; any shape."""
+        return np.exp(-self.radial_rate * np.square(np.asarray(r, dtype=float)))

@@ -1,0 +1,57 @@
+"""Live, off-screen film: solver fields to 8-bit images in Taichi kernels, images to a film while the run
+goes on."""
+import numpy as np
+
+from .encoder import EncoderError, FilmWriter, frame_name, write_gif
+from .particles import Particles
+from .scheimpflug import Scheimpflug
+from .state import FrameState
+from .surface import Surface
+
+__all__ = ["EncoderError", "FilmView", "FilmWriter", "FrameState", "Particles", "Scheimpflug", "Surface",
+           "frame_name", "write_gif"]
+
+
+class FilmView:
+    """The view that scene.camera.view asks for: "scheimpflug", "particles" or "both" in one frame.
+
+    "both" puts the Scheimpflug frame, every pixel doubled, over the particle view; the time then stands in
+    the upper one alone. All views share one `Surface`.
+    """
+
+    def __init__(self, scene):
+        self.kind = scene.camera.view
+        self.surface = Surface(scene)
+        self.scheimpflug = Scheimpflug(scene, self.surface)
+        self.particles = None
+        if self.kind != "scheimpflug":
+            stamped = scene.camera.stamp and self.kind == "particles"
+            self.particles = Particles(scene, self.surface, stamped)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of a frame: (H, W) grey for "scheimpflug", else (H, W, 3) RGB."""
+        height, width = self.scheimpflug.height, self.scheimpflug.width
+        if self.kind == "scheimpflug":
+            return height, width
+        below = self.particles.layout
+        return (below.height if self.kind == "particles" else below.height + 2 * height), below.width, 3
+
+    def render(self, state: FrameState) -> np.ndarray:
+        """The frame at `state`, uint8, of shape `shape`."""
+        if self.kind == "scheimpflug":
+            return self.scheimpflug.render(state)
+        if self.kind == "particles":
+            return self.particles.render(state)
+        above = self.scheimpflug.render(state)
+        image = np.empty(self.shape, np.uint8)
+        split = 2 * above.shape[0]
+        # two pixels of three channels from each: six equal bytes in a row
+        doubled = image[:split].reshape(above.shape[0], 2, 6 * above.shape[1])
+        doubled[...] = np.repeat(above, 6, axis=1)[:, None]
+        image[split:] = self.particles.render(state, fresh=False)
+        return image
+
+    def scheimpflug_frame(self, state: FrameState) -> np.ndarray:
+        """The Scheimpflug frame at `state`, uint8 [height_px, width_px], whatever the view."""
+        return self.scheimpflug.render(state)

@@ -1,0 +1,392 @@
+"""The technical view: the fluid's nodes coloured by pressure or speed, the membrane, the puff and the apex
+trace.
+
+What never changes (chamber walls, axes, labels, colour bar) is rasterised once; a kernel draws the rest
+from the current fields. Every pixel takes the node nearest to it, found by an integer minimum over
+(distance, node), which does not depend on the order of threads. The section is drawn for r >= 0 and
+mirrored.
+
+The colour limits are those of the scene, fixed for the whole film: pressure from the IOP to the IOP plus a
+quarter of the puff's peak (a sealed chamber gains about a fifth of it), speed from 0 to 0.03 m/s per kPa of
+peak.
+"""
+from dataclasses import dataclass
+from math import ceil, floor, log10
+
+import matplotlib
+import numpy as np
+import taichi as ti
+from PIL import Image, ImageDraw
+
+from taichi_eye.backend import real
+from taichi_eye.eye.puff import Puff
+from taichi_eye.eye.section import Section
+from taichi_eye.units import KPA, MM, MMHG, MS
+
+from .glyphs import GlyphAtlas, font, stamp
+from .state import FrameState
+from .surface import Surface
+
+BACKGROUND = (13, 17, 26)
+TEXT, FAINT, GRID = (216, 222, 233), (128, 140, 160), (36, 44, 60)
+MEMBRANE, WALL = (250, 244, 230), (98, 109, 130)
+JET, TRACE = (96, 190, 255), (255, 196, 92)
+COLOURMAPS = {"pressure": "viridis", "speed": "plasma"}
+DARKEST = 0.12            # start of the colour map: its first colours drown in the background
+FILL = 0.34               # brightness of the space between nodes, of their colour
+FILL_FLOOR = (8.0, 10.0, 16.0)
+EMPTY = 0xFFFFFFFF
+NODE_BITS = 20            # of the nearest-node word; the distance takes the other 12
+MAX_NODES = 1 << NODE_BITS
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Places in the image [px]; lengths scale with its width."""
+
+    width: int
+    height: int
+    unit: float           # px per 1/1152 of the width
+    scale: float          # px/mm of the section
+    axis: int             # column of the axis: the boundary between columns axis-1 and axis
+    limbus_row: float     # row of z = 0
+    half: int             # columns of half a section
+    plot: tuple[int, int, int, int]    # left, top, right, bottom of the trace's axes
+
+    @classmethod
+    def of(cls, scene) -> "Layout":
+        width = 2 * scene.camera.width_px
+        unit = width / 1152
+        section = Section.from_scene(scene)
+        cap, back = section.apex_z / MM, -section.back_z / MM
+        panel = 0.68 * width
+        above, below = 1.30, 0.12                  # mm over the apex for the puff, under the back plane
+        room = 268 * unit
+        half_mm = scene.cornea.limbus_radius_mm + 0.42
+        scale = min(0.5 * panel / half_mm, room / (above + cap + back + below))
+        height = 2 * round(160 * unit)
+        limbus_row = height - 52 * unit - (back + below) * scale
+        half = ceil(half_mm * scale)
+        plot = (round(848 * unit), round(64 * unit), round(1098 * unit), height - round(46 * unit))
+        return cls(width, height, unit, scale, round(0.5 * panel + 8 * unit), limbus_row, half, plot)
+
+
+@ti.data_oriented
+class Particles:
+    """Renders frames of shape [height, width, 3], uint8, twice as wide as the Scheimpflug view.
+
+    One `Surface` may be shared with another view, which then need not be updated twice for the same frame.
+    `stamped` writes the time into the upper left corner.
+    """
+
+    def __init__(self, scene, surface: Surface | None = None, stamped: bool = True):
+        self.surface = Surface(scene) if surface is None else surface
+        self.layout = at = Layout.of(scene)
+        self.height, self.width = at.height, at.width
+        self.by_speed = scene.camera.colour_by == "speed"
+        self.limits = colour_limits(scene)
+        self.low, self.span = self.limits[0], self.limits[1] - self.limits[0]
+        self.px_per_m = at.scale / MM
+        self.axis, self.half, self.limbus_row = at.axis, at.half, at.limbus_row
+        self.rim = round(scene.cornea.limbus_radius_mm * at.scale)
+        spacing_px = scene.numerics.spacing_mm * at.scale
+        self.disc = max(0.44 * spacing_px, 0.6)
+        self.reach = max(0.80 * spacing_px, 1.5)
+        self.distance_steps = 4095.0 / (self.reach + 1.0) ** 2
+        self.line = 1.7 * at.unit
+        self.curve = 1.1 * at.unit
+        self.marker = 4.4 * at.unit
+        self.left, self.top, self.right, self.bottom = at.plot
+        self.ranges = plot_ranges(scene)
+        self.peak_kpa = peak_load_kpa(scene)
+        self.radii = np.arange(self.surface.count) * self.surface.spacing
+        self.puff_profile = Puff.from_scene(scene).radial(self.radii)
+
+        self.nearest = ti.field(ti.u32, (self.height, self.half))
+        self.column = ti.Vector.field(3, real(), self.half)
+        self.base = ti.Vector.field(3, ti.u8, (self.height, self.width))
+        self.wall = ti.field(ti.u8, (self.height, self.width))
+        self.colours = ti.Vector.field(3, real(), 256)
+        self.colours.from_numpy(colour_table(scene))
+        self.base.from_numpy(background(scene, at, self.limits, self.ranges))
+        self.wall.from_numpy(wall_cover(scene, at))
+        self.big = GlyphAtlas(max(8, round(21 * at.unit)))
+        self.small = GlyphAtlas(max(7, round(13 * at.unit)), bold=True)
+        self.stamped = stamped
+
+    def render(self, state: FrameState, fresh: bool = True) -> np.ndarray:
+        """The frame at `state`; `fresh` says that the surface tables have yet to be updated for it.
+
+        Raises ValueError where the state has more than 2^20 nodes.
+        """
+        if state.node_count > MAX_NODES:
+            raise ValueError(f"{state.node_count} nodes: the particle view draws at most {MAX_NODES}")
+        if fresh:
+            self.surface.update(state.wall, state.wall_count)
+        image = np.empty((self.height, self.width, 3), np.uint8)
+        profile = self.puff_profile
+        puff_kpa = state.trace_puff_kpa[-1] if len(state.trace_puff_kpa) else 0.0
+        if state.puff_radial is not None and np.max(np.abs(state.puff_radial)) > 0.0:
+            wall_r = state.wall.to_numpy()[:state.wall_count, 0]
+            profile = np.interp(self.radii, wall_r, state.puff_radial, right=0.0)
+            profile /= np.max(np.abs(state.puff_radial))
+        curves, head, now = self.curve_columns(state)
+        self._find(state.nodes, state.node_count)
+        self._draw(image, state.nodes, state.pressure, state.velocity, profile.astype(np.float32),
+                   puff_kpa / self.peak_kpa, curves, head[0], head[1], now)
+        self.label(image, state, puff_kpa)
+        return image
+
+    def curve_columns(self, state: FrameState) -> tuple[np.ndarray, tuple[float, float], int]:
+        """Rows of the apex and the load curve in every column of the plot, shape [columns, 2] float32, the
+        marker (column, row) of the present, and the last column that has a past."""
+        columns = np.arange(self.left, self.right + 1)
+        time = (columns - self.left) / (self.right - self.left) * self.ranges.time_ms
+        rows = np.full((len(columns), 2), self.bottom, np.float32)
+        if not len(state.trace_time_ms):
+            return rows, (-100.0, -100.0), -1
+        apex = self.row_of(np.asarray(state.trace_apex_mm), self.ranges.apex_low_mm, self.ranges.apex_high_mm)
+        load = self.row_of(np.asarray(state.trace_puff_kpa), 0.0, self.ranges.puff_kpa)
+        rows[:, 0] = np.interp(time, state.trace_time_ms, apex)
+        rows[:, 1] = np.interp(time, state.trace_time_ms, load)
+        reached = min(state.trace_time_ms[-1] / self.ranges.time_ms, 1.0) * (self.right - self.left)
+        return rows, (float(self.left + reached), float(apex[-1])), int(reached)
+
+    def row_of(self, value: np.ndarray, low: float, high: float) -> np.ndarray:
+        share = (value - low) / (high - low)
+        return np.clip(self.bottom - share * (self.bottom - self.top), self.top, self.bottom)
+
+    def label(self, image: np.ndarray, state: FrameState, puff_kpa: float) -> None:
+        """The time and the present values, in place."""
+        unit = self.layout.unit
+        if self.stamped:
+            stamp(image, self.big.mask(f"{state.time_ms:.2f} ms"), round(14 * unit), round(20 * unit), TEXT)
+        if len(state.trace_apex_mm):
+            row = round(30 * unit)
+            apex = self.small.mask(f"{state.trace_apex_mm[-1]:.3f} mm")
+            load = self.small.mask(f"{puff_kpa:.2f} kPa")
+            stamp(image, apex, row, self.left, TRACE)
+            stamp(image, load, row, self.right - load.shape[1], JET)
+
+    @ti.kernel
+    def _find(self, nodes: ti.template(), node_count: ti.i32):
+        for i, j in self.nearest:
+            self.nearest[i, j] = ti.u32(EMPTY)
+        for n in range(node_count):
+            column = nodes[n][0] * self.px_per_m
+            row = self.limbus_row - nodes[n][1] * self.px_per_m
+            first_i = ti.max(ti.cast(ti.ceil(row - self.reach - 0.5), ti.i32), 0)
+            last_i = ti.min(ti.cast(ti.floor(row + self.reach - 0.5), ti.i32), self.height - 1)
+            first_j = ti.max(ti.cast(ti.ceil(column - self.reach - 0.5), ti.i32), 0)
+            last_j = ti.min(ti.cast(ti.floor(column + self.reach - 0.5), ti.i32), self.half - 1)
+            for i in range(first_i, last_i + 1):
+                for j in range(first_j, last_j + 1):
+                    far = (i + 0.5 - row) ** 2 + (j + 0.5 - column) ** 2
+                    if far <= self.reach**2:
+                        word = (ti.cast(far * self.distance_steps, ti.u32) << NODE_BITS) | ti.cast(n, ti.u32)
+                        ti.atomic_min(self.nearest[i, j], word)
+
+    @ti.kernel
+    def _draw(self, image: ti.types.ndarray(), nodes: ti.template(), pressure: ti.template(),
+              velocity: ti.template(), profile: ti.types.ndarray(), puff: ti.f32, curves: ti.types.ndarray(),
+              head_column: ti.f32, head_row: ti.f32, now: ti.i32):
+        for k in range(self.half):
+            r = (k + 0.5) / self.px_per_m
+            slope = self.surface.at(self.surface.slope, r)
+            row = self.limbus_row - self.surface.at(self.surface.height, r) * self.px_per_m
+            tilt = 1.0 / ti.sqrt(1.0 + slope * slope)
+            self.column[k] = ti.Vector([row, tilt, ti.max(puff * self.surface.at(profile, r), 0.0)])
+        for i, j in ti.ndrange(self.height, self.width):
+            still = self.base[i, j]
+            colour = ti.Vector([1.0 * still[0], 1.0 * still[1], 1.0 * still[2]])
+            off = ti.max(j - self.axis, self.axis - 1 - j)
+            if off < self.half:
+                surface_row, tilt, load = self.column[off]
+                depth = i + 0.5 - surface_row
+                if depth < 0.0:
+                    if load > 1e-3:
+                        # an even beam, brighter where it stops on the cornea
+                        glow = 0.46 + 0.30 * ti.exp(depth / (0.25e-3 * self.px_per_m))
+                        colour = blend(colour, ti.Vector(JET), load * glow)
+                else:
+                    word = self.nearest[i, off]
+                    if word != ti.u32(EMPTY):
+                        n = ti.cast(word & ti.u32(MAX_NODES - 1), ti.i32)
+                        far = ti.sqrt((off + 0.5 - nodes[n][0] * self.px_per_m) ** 2
+                                      + (self.limbus_row - nodes[n][1] * self.px_per_m - i - 0.5) ** 2)
+                        value = 0.0 * far
+                        if ti.static(self.by_speed):
+                            value = velocity[n].norm()
+                        else:
+                            value = pressure[n]
+                        share = ti.math.clamp((value - self.low) / self.span, 0.0, 1.0)
+                        tint = self.colours[ti.math.clamp(ti.cast(share * 255.0 + 0.5, ti.i32), 0, 255)]
+                        cover = ti.math.clamp(self.disc + 0.5 - far, 0.0, 1.0)
+                        colour = blend(FILL * tint + ti.Vector(FILL_FLOOR), tint, cover)
+                if abs(depth) * tilt < self.line + 0.5 and off < self.rim:
+                    colour = blend(colour, ti.Vector(MEMBRANE),
+                                   ti.math.clamp(self.line + 0.5 - abs(depth) * tilt, 0.0, 1.0))
+                wall = self.wall[i, j]
+                if wall > 0:
+                    colour = blend(colour, ti.Vector(WALL), wall / 255.0)
+            elif j >= self.left and j <= self.right and i >= self.top and i <= self.bottom:
+                k = j - self.left
+                if k <= now:
+                    if i > curves[k, 1]:
+                        colour = blend(colour, ti.Vector(JET), 0.10)
+                    load = 0.75 * curve_cover(curves, k, 1, i, now, self.curve)
+                    colour = blend(colour, ti.Vector(JET), load)
+                    apex = curve_cover(curves, k, 0, i, now, 1.5 * self.curve)
+                    colour = blend(colour, ti.Vector(TRACE), apex)
+            if abs(j - head_column) < 20.0 and abs(i - head_row) < 20.0:
+                gone = ti.sqrt((j - head_column) ** 2 + (i - head_row) ** 2)
+                colour = blend(colour, ti.Vector(TRACE), ti.math.clamp(self.marker + 0.5 - gone, 0.0, 1.0))
+            for c in ti.static(range(3)):
+                image[i, j, c] = ti.cast(ti.math.clamp(colour[c] + 0.5, 0.0, 255.0), ti.u8)
+
+
+@ti.func
+def blend(under, colour, share):
+    """`colour` over `under` with coverage `share`."""
+    return under + share * (colour - under)
+
+
+@ti.func
+def curve_cover(curves: ti.template(), k, which, row, last, half_width):
+    """Coverage of pixel (row, column k) by a curve given as one row per column."""
+    here = curves[k, which]
+    slope = 0.5 * (curves[ti.min(k + 1, last), which] - curves[ti.max(k - 1, 0), which])
+    return ti.math.clamp(half_width + 0.5 - abs(row - here) / ti.sqrt(1.0 + slope * slope), 0.0, 1.0)
+
+
+def colour_limits(scene) -> tuple[float, float]:
+    """Ends of the colour scale: pressure [Pa] or speed [m/s]; see the head of this module."""
+    if scene.camera.colour_by == "speed":
+        return 0.0, 0.03 * peak_load_kpa(scene)
+    low = scene.eye.iop_mmhg * MMHG
+    return low, low + 0.25 * peak_load_kpa(scene) * KPA
+
+
+def colour_table(scene) -> np.ndarray:
+    """256 colours 0..255, shape [256, 3]."""
+    share = DARKEST + (1.0 - DARKEST) * np.linspace(0.0, 1.0, 256)
+    return 255.0 * matplotlib.colormaps[COLOURMAPS[scene.camera.colour_by]](share)[:, :3]
+
+
+@dataclass(frozen=True)
+class PlotRanges:
+    """Axes of the trace, fixed for the whole film: time 0..time_ms, apex low..high, load 0..puff_kpa."""
+
+    time_ms: float
+    apex_low_mm: float
+    apex_high_mm: float
+    puff_kpa: float
+
+
+def plot_ranges(scene) -> PlotRanges:
+    """Axes wide enough for the displacement to be expected of this puff and IOP.
+
+    The default eye yields 0.96 mm to 10 kPa at 15 mmHg, roughly as (puff/IOP)^0.6; a quarter is left above
+    it.
+    """
+    puff = peak_load_kpa(scene)
+    expected = 0.96 * (puff / 10.0 * 15.0 / max(scene.eye.iop_mmhg, 1.0)) ** 0.6
+    high = tick_step(1.2 * expected / 4.0) * 4.0
+    return PlotRanges(scene.numerics.duration_ms, -0.06 * high, high, 1.12 * puff)
+
+
+def tick_step(rough: float) -> float:
+    """The smallest of 1, 2, 2.5, 3, 4, 5 times a power of ten that is not below `rough`."""
+    power = 10.0 ** floor(log10(rough))
+    return next(m for m in (1.0, 2.0, 2.5, 3.0, 4.0, 5.0, 10.0) if m * power >= rough * (1.0 - 1e-9)) * power
+
+
+def peak_load_kpa(scene) -> float:
+    """Largest load on the apex within the simulated time [kPa], at least 0.1 so that scales exist with the
+    puff off."""
+    time = np.linspace(0.0, scene.numerics.duration_ms * MS, 2001)
+    return max(float(np.max(Puff.from_scene(scene).pressure_at_apex(time))) / KPA, 0.1)
+
+
+def background(scene, at: Layout, limits: tuple[float, float], ranges: PlotRanges) -> np.ndarray:
+    """Axes, labels and colour bar on the plain ground, shape [height, width, 3], uint8."""
+    image = Image.new("RGB", (at.width, at.height), BACKGROUND)
+    draw = ImageDraw.Draw(image)
+    label, unit = font(max(7, round(12 * at.unit))), at.unit
+    draw_axes(draw, at, ranges, label)
+    draw_colour_bar(image, draw, scene, at, limits, label)
+    rule, end = round(812 * unit), round(18 * unit)
+    draw.line([(rule, end), (rule, at.height - end)], GRID)
+    return np.array(image)
+
+
+def draw_axes(draw: ImageDraw.ImageDraw, at: Layout, ranges: PlotRanges, label) -> None:
+    """Grid, ticks and titles of the trace."""
+    left, top, right, bottom = at.plot
+    unit = at.unit
+    step = tick_step(ranges.time_ms / 5.0)
+    for k in range(int(ranges.time_ms / step + 1e-9) + 1):
+        x = left + round(k * step / ranges.time_ms * (right - left))
+        draw.line([(x, top), (x, bottom)], GRID)
+        draw.text((x, bottom + 5 * unit), f"{k * step:g}", FAINT, label, anchor="ma")
+    draw.text(((left + right) / 2, bottom + 21 * unit), "time, ms", FAINT, label, anchor="ma")
+    step = ranges.apex_high_mm / 4.0
+    for k in range(5):
+        share = (k * step - ranges.apex_low_mm) / (ranges.apex_high_mm - ranges.apex_low_mm)
+        y = bottom - round(share * (bottom - top))
+        draw.line([(left, y), (right, y)], GRID)
+        draw.text((left - 6 * unit, y), f"{k * step:g}", TRACE, label, anchor="rm")
+    step = tick_step(ranges.puff_kpa / 5.0)
+    for k in range(int(ranges.puff_kpa / step + 1e-9) + 1):
+        y = bottom - round(k * step / ranges.puff_kpa * (bottom - top))
+        draw.text((right + 6 * unit, y), f"{k * step:g}", JET, label, anchor="lm")
+    draw.line([(left, top), (left, bottom), (right, bottom), (right, top)], FAINT)
+    draw.text((left, 13 * unit), "apex displacement", TRACE, label, anchor="la")
+    draw.text((right, 13 * unit), "puff", JET, label, anchor="ra")
+
+
+def draw_colour_bar(image: Image.Image, draw: ImageDraw.ImageDraw, scene, at: Layout,
+                    limits: tuple[float, float], label) -> None:
+    """The colour scale under the section, with its limits and unit."""
+    unit = at.unit
+    if scene.camera.colour_by == "speed":
+        title, scaled = "fluid speed, m/s", limits
+    else:
+        title, scaled = "fluid pressure over atmosphere, kPa", (limits[0] * 1e-3, limits[1] * 1e-3)
+    width, height = round(300 * unit), max(3, round(9 * unit))
+    left, top = at.axis - width // 2 + round(100 * unit), at.height - round(35 * unit)
+    colours = colour_table(scene)[np.linspace(0, 255, width).round().astype(int)]
+    image.paste(Image.fromarray(np.tile(colours.round().astype(np.uint8), (height, 1, 1))), (left, top))
+    draw.text((left - 12 * unit, top + height / 2), title, FAINT, label, anchor="rm")
+    step = tick_step((scaled[1] - scaled[0]) / 5.0)
+    tick = ceil(scaled[0] / step - 1e-9) * step
+    while tick <= scaled[1] + 1e-9:
+        x = left + round((tick - scaled[0]) / (scaled[1] - scaled[0]) * (width - 1))
+        draw.line([(x, top + height), (x, top + height + 3 * unit)], FAINT)
+        draw.text((x, top + height + 4 * unit), f"{tick:.3g}", FAINT, label, anchor="ma")
+        tick += step
+
+
+def wall_cover(scene, at: Layout) -> np.ndarray:
+    """Coverage by the rigid back (plane or lens), the cylinder above it and the limbus, shape [height,
+    width], uint8."""
+    fine = 4
+    section = Section.from_scene(scene)
+    rim, back = scene.cornea.limbus_radius_mm, section.back_z / MM
+
+    def place(r, z):
+        return (at.axis + r * at.scale) * fine, (at.limbus_row - z * at.scale) * fine
+
+    cover = Image.new("L", (at.width * fine, at.height * fine))
+    draw = ImageDraw.Draw(cover)
+    radii = np.linspace(-rim, rim, 400)
+    outer = rim + 0.16
+    for side in (-1.0, 1.0):
+        draw.polygon([place(side * rim, 0.0), place(side * outer, 0.0), place(side * outer, back - 0.11),
+                      place(side * rim, back - 0.11)], fill=255)
+        x, y = place(side * (rim + 0.04), 0.0)
+        size = 0.13 * at.scale * fine
+        draw.ellipse([x - size, y - size, x + size, y + size], fill=255)
+    top = [place(r, z) for r, z in zip(radii, section.back_height(np.abs(radii) * MM) / MM)]
+    draw.polygon(top + [place(rim, back - 0.11), place(-rim, back - 0.11)], fill=255)
+    return np.array(cover.resize((at.width, at.height), Image.Resampling.BOX))

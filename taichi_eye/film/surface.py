@@ -1,0 +1,193 @@
+"""The anterior surface of one frame on even radii, and the posterior surface as the camera sees it through
+it.
+
+The wall is a polyline of a surface of revolution. It is resampled once per frame on a table of radii, two
+pixels apart (linear interpolation then errs by less than 0.01 px where the radius of curvature exceeds 1
+mm); everything drawn afterwards reads the table, so no pixel searches the wall.
+
+Refraction. The slit lights the plane y = 0; the camera looks at it under `angle_deg` to the axis in planes
+x = const, from far away (parallel rays). A ray that enters the surface at Q = (x, y, z_a(sqrt(x^2 + y^2)))
+bends by Snell's law at the surface's normal there and meets the lit plane in a point P; the image shows P
+where the straight air ray through Q meets that plane, (x, 0, z_Q - y / tan(angle)). For every radius the
+entry point whose P lies on the posterior surface (the anterior one moved inwards along its normals by the
+thickness) is found by secants. For a flat surface apparent/true depth is
+tan(asin(sin(angle)/n))/tan(angle).
+"""
+from math import ceil, cos, radians, sin, sqrt
+
+import taichi as ti
+
+from taichi_eye.backend import real
+from taichi_eye.eye.section import Section
+
+SLOPE_MAX = 4.0        # dz/dr beyond which the table no longer follows an overhang
+POSTERIOR_STEPS = 12   # fixed point on the normal's foot; contracts by thickness over radius of curvature
+SECANT_STEPS = 8
+TOLERANCE = 1e-6       # of both, in thicknesses
+MARGIN_MM = 1.2        # table beyond what is drawn: entry points and feet of normals lie outside their column
+
+
+@ti.data_oriented
+class Surface:
+    """Tables over r = k * spacing of the anterior height and slope and of the apparent posterior height.
+
+    Fields: height [m], slope [-] and posterior [m] (true height) of shape [count], apparent [m] of shape
+    [columns], which reaches as far as the frame does; z from the limbus plane, all even in x. Beyond the
+    limbus the surface goes on straight, at the slope of the undeformed cap.
+    """
+
+    def __init__(self, scene):
+        cornea, camera = scene.cornea, scene.camera
+        half_width_px = max(camera.apex_column_px, camera.width_px - camera.apex_column_px)
+        half_width_mm = half_width_px * camera.pixel_x_mm
+        extent_mm = max(half_width_mm, cornea.limbus_radius_mm) + MARGIN_MM
+        spacing_mm = 2.0 * camera.pixel_x_mm
+        self.spacing = spacing_mm * 1e-3
+        self.columns = ceil(half_width_mm / spacing_mm) + 2
+        self.count = ceil(extent_mm / spacing_mm) + 2
+        self.thickness = cornea.thickness_mm * 1e-3
+        self.index_ratio = 1.0 / camera.refractive_index
+        self.sin_angle = sin(radians(camera.angle_deg))
+        self.cos_angle = cos(radians(camera.angle_deg))
+        optical = camera.refractive_index / self.sin_angle
+        self.flat_ratio = self.cos_angle / self.sin_angle / sqrt(optical * optical - 1.0)
+        cap = cornea.limbus_radius_mm / cornea.radius_mm
+        self.limbus_slope = max(-cap / sqrt(max(1.0 - cap * cap, 1e-6)), -SLOPE_MAX)
+        self.apex_rest = float(Section.from_scene(scene).apex_z)
+        self.height = ti.field(real(), self.count)
+        self.slope = ti.field(real(), self.count)
+        self.posterior = ti.field(real(), self.count)
+        self.apparent = ti.field(real(), self.columns)
+
+    def update(self, wall: ti.MatrixField, wall_count: int) -> None:
+        """Resample the wall and trace the posterior surface; gathers only, the same bits on any thread
+        count."""
+        self._update(wall, wall_count)
+
+    @ti.kernel
+    def _update(self, wall: ti.template(), wall_count: ti.i32):
+        for k in range(self.count):
+            point = self.resample(wall, wall_count, k * self.spacing)
+            self.height[k] = point[0]
+            self.slope[k] = point[1]
+        for k in range(self.count):
+            x = k * self.spacing
+            foot = x
+            for _ in range(POSTERIOR_STEPS):
+                s = self.at(self.slope, foot)
+                moved = x - self.thickness * s / ti.sqrt(1.0 + s * s)
+                change = moved - foot
+                foot = moved
+                if abs(change) < TOLERANCE * self.thickness:
+                    break
+            s = self.at(self.slope, foot)
+            self.posterior[k] = self.at(self.height, foot) - self.thickness / ti.sqrt(1.0 + s * s)
+        for k in range(self.columns):
+            self.apparent[k] = self.trace(k * self.spacing)
+
+    @ti.func
+    def at(self, table: ti.template(), r):
+        """Linear interpolation in a table, even in r, straight on beyond its end. NaN stays within the
+        table, so that a broken state still draws."""
+        t = abs(r) * (1.0 / self.spacing)
+        k = ti.math.clamp(ti.cast(t, ti.i32), 0, table.shape[0] - 2)
+        return table[k] + (t - k) * (table[k + 1] - table[k])
+
+    @ti.func
+    def tangent(self, wall: ti.template(), i):
+        """Unit-speed tangent at an inner node or the apex (mirrored neighbour): the parabola through three
+        nodes."""
+        here = wall[i]
+        after = wall[i + 1]
+        before = wall[ti.max(i - 1, 0)]
+        if i == 0:
+            before = ti.Vector([-after[0], after[1]])
+        h0 = (here - before).norm()
+        h1 = (after - here).norm()
+        return (h1 / h0 * (here - before) + h0 / h1 * (after - here)) / (h0 + h1)
+
+    @ti.func
+    def resample(self, wall: ti.template(), wall_count, r):
+        """(z, dz/dr) at radius r of the cubic through the wall nodes. Nodes are about evenly spread in r,
+        so a short walk from the guess finds the two that hold r between them; where the wall overhangs, one
+        such pair."""
+        last = wall[wall_count - 1]
+        result = ti.Vector([last[1] + self.limbus_slope * (r - last[0]), self.limbus_slope])
+        if r <= last[0]:
+            i = ti.math.clamp(ti.cast(r / last[0] * (wall_count - 1), ti.i32), 0, wall_count - 2)
+            while i > 0 and wall[i][0] > r:
+                i -= 1
+            while i < wall_count - 2 and wall[i + 1][0] <= r:
+                i += 1
+            a = wall[i]
+            b = wall[i + 1]
+            chord = (b - a).norm()
+            ma = self.tangent(wall, i) * chord
+            mb = 2.0 * (b - a) - ma
+            if i + 2 < wall_count:
+                mb = self.tangent(wall, i + 1) * chord
+            u = ti.math.clamp((r - a[0]) / ti.max(b[0] - a[0], 1e-3 * chord), 0.0, 1.0)
+            run = hermite_rate(u, a[0], b[0], ma[0], mb[0])
+            for _ in range(5):
+                gap = hermite(u, a[0], b[0], ma[0], mb[0]) - r
+                if abs(gap) < 1e-7 * chord:
+                    break
+                u = ti.math.clamp(u - gap / ti.max(run, 1e-3 * chord), 0.0, 1.0)
+                run = hermite_rate(u, a[0], b[0], ma[0], mb[0])
+            rise = hermite_rate(u, a[1], b[1], ma[1], mb[1])
+            result = ti.Vector([hermite(u, a[1], b[1], ma[1], mb[1]),
+                                ti.math.clamp(rise / ti.max(run, 1e-3 * chord), -SLOPE_MAX, SLOPE_MAX)])
+        return result
+
+    @ti.func
+    def enter(self, x, y):
+        """The camera ray that enters at (x, y): its apparent height, and how far above the posterior
+        surface it meets the lit plane [m]."""
+        rho = ti.sqrt(x * x + y * y)
+        z = self.at(self.height, rho)
+        s = self.at(self.slope, rho)
+        nz = 1.0 / ti.sqrt(1.0 + s * s)
+        nx = 0.0
+        ny = 0.0
+        if rho > 0.0:
+            nx = -s * nz * x / rho
+            ny = -s * nz * y / rho
+        facing = ti.max(ny * self.sin_angle + nz * self.cos_angle, 0.05)
+        bend = self.index_ratio * facing - ti.sqrt(1.0 - self.index_ratio**2 * (1.0 - facing * facing))
+        tx = bend * nx
+        ty = -self.index_ratio * self.sin_angle + bend * ny
+        tz = -self.index_ratio * self.cos_angle + bend * nz
+        run = y / ti.max(-ty, 1e-3)
+        apparent = z - y * self.cos_angle / self.sin_angle
+        return ti.Vector([apparent, z + run * tz - self.at(self.posterior, x + run * tx)])
+
+    @ti.func
+    def trace(self, x):
+        """Apparent height of the posterior surface in column x."""
+        y0 = 0.0 * x
+        gap0 = self.enter(x, y0)[1]
+        y1 = self.flat_ratio * gap0 * self.sin_angle / self.cos_angle
+        ray = self.enter(x, y1)
+        for _ in range(SECANT_STEPS):
+            change = ray[1] - gap0
+            if abs(ray[1]) < TOLERANCE * self.thickness or change == 0.0:
+                break
+            y2 = ti.max(y1 - ray[1] * (y1 - y0) / change, 0.0)
+            y0 = y1
+            gap0 = ray[1]
+            y1 = y2
+            ray = self.enter(x, y1)
+        return ray[0]
+
+
+@ti.func
+def hermite(u, a, b, ma, mb):
+    """Cubic with end values a, b and end derivatives ma, mb on u in 0..1."""
+    return a + u * (ma + u * (3.0 * (b - a) - 2.0 * ma - mb + u * (2.0 * (a - b) + ma + mb)))
+
+
+@ti.func
+def hermite_rate(u, a, b, ma, mb):
+    """Derivative of `hermite` in u."""
+    return ma + u * (2.0 * (3.0 * (b - a) - 2.0 * ma - mb) + 3.0 * u * (2.0 * (a - b) + ma + mb))
+

@@ -1,0 +1,190 @@
+"""From a scene to a run folder: simulate, film while it runs, report.
+
+The folder holds film.mp4, apex.png, sheet.png, traces.csv, summary.json and scene.toml; on request film.gif, the folder
+frames/ with a PNG per frame, and fields/ for ParaView. Every file appears whole or not at all. A run that a guard stops
+or the user interrupts leaves the same files up to that time, and its summary says so.
+"""
+import json
+import math
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from taichi_eye import backend
+from taichi_eye.errors import RunStopped
+from taichi_eye.film import FilmView, FilmWriter, FrameState, write_gif
+from taichi_eye.report.compare import Measured, differences, read_measured
+from taichi_eye.report.folder import create_run_folder, write_text
+from taichi_eye.report.history import summarise
+from taichi_eye.report.paraview import ParaviewWriter
+from taichi_eye.report.plots import plot_apex, plot_sheet, sheet_times
+from taichi_eye.report.traces import write_traces
+from taichi_eye.scene import Scene, dump_scene
+from taichi_eye.solver.simulation import Simulation
+
+KEPT_FRAMES = 300  # frames held for the sheet and the GIF; a longer film is thinned
+GIF_WIDTH_PX = 480
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What a run leaves: its folder, the summary as in summary.json, and the traces as arrays by column."""
+
+    folder: Path
+    summary: dict
+    traces: dict[str, np.ndarray]
+
+
+def run(scene: Scene, out: str | Path | None = None, name: str = "eye", compare: str | Path | None = None,
+        progress: bool = False) -> RunResult:
+    """Simulate and film a scene into a run folder.
+
+    out: a new or empty folder; None for renders/<name>-001, -002, ... compare: CSV with a measured history (columns
+    time_ms and apex_displacement_mm or deflection_mm). progress: a bar on the terminal.
+    Raises SceneError for bad input before anything is written; RunStopped when a guard stops the run, after what was
+    computed so far has been written.
+    """
+    measured = read_measured(compare) if compare is not None else None
+    backend.real()
+    folder = create_run_folder(out, name)
+    write_text(folder / "scene.toml", dump_scene(scene))
+    recorder = _Recorder(scene, folder, measured, progress)
+    return recorder.run()
+
+
+class _Recorder:
+    """Holds what one run writes as it goes."""
+
+    def __init__(self, scene, folder, measured: Measured | None, progress):
+        self.scene, self.folder, self.measured, self.progress = scene, folder, measured, progress
+        self.frames: list[tuple[float, np.ndarray]] = []
+        self.colour_frames: list[np.ndarray] = []
+        self.stride = math.ceil(scene.camera.frame_count / KEPT_FRAMES)
+        self.clock: dict[str, float] = {}
+        self.paraview = None
+
+    def run(self) -> RunResult:
+        """Run to the end, to a guard's stop or to an interrupt; write everything in any case."""
+        started = time.perf_counter()
+        scene, output = self.scene, self.scene.output
+        with tqdm(total=scene.numerics.duration_ms, unit=" ms", disable=not self.progress, dynamic_ncols=True,
+                  bar_format="{desc}{percentage:3.0f}%|{bar}| {n:.1f}/{total:.0f} ms [{elapsed}<{remaining}]") as bar:
+            bar.set_description_str("packing nodes, compiling kernels: ")
+            simulation = Simulation(scene)
+            view = FilmView(scene)
+            self.clock["setup_s"] = time.perf_counter() - started
+            if self.progress:
+                bar.write(_announce(simulation))
+            bar.set_description_str("air puff: ")
+            stop: BaseException | None = None
+            if output.node_fields:
+                self.paraview = ParaviewWriter(self.folder / "fields")
+            with FilmWriter(self.folder / "film.mp4", output.film_fps,
+                            self.folder / "frames" if output.png_frames else None) as film:
+
+                def on_frame(_, frame):
+                    before = time.perf_counter()
+                    self._film(simulation, view, film, frame)
+                    self.clock["film_s"] = self.clock.get("film_s", 0.0) + time.perf_counter() - before
+
+                def on_sample(_):
+                    bar.update(min(simulation.time_ms, bar.total) - bar.n)
+
+                try:
+                    simulation.run(on_frame, on_sample)
+                    bar.update(bar.total - bar.n)
+                except (RunStopped, KeyboardInterrupt) as reason:
+                    stop = reason
+        self.clock["total_s"] = time.perf_counter() - started
+        result = self._report(simulation, stop)
+        if stop is not None:
+            raise stop
+        return result
+
+    def _film(self, simulation, view, film, frame):
+        scene, traces = self.scene, simulation.traces
+        state = FrameState(
+            time_ms=simulation.time_ms, wall=simulation.cornea.place, wall_count=simulation.cloud.wall_count,
+            nodes=simulation.aqueous.place, node_count=simulation.cloud.count, pressure=simulation.aqueous.pressure,
+            velocity=simulation.aqueous.velocity, trace_time_ms=np.array(traces["time_ms"]),
+            trace_apex_mm=np.array(traces["apex_displacement_mm"]), trace_puff_kpa=np.array(traces["puff_apex_kpa"]))
+        image = view.render(state)
+        film.write(image, simulation.time_ms)
+        if frame % self.stride == 0 or frame == scene.camera.frame_count - 1:
+            slit = image if view.kind == "scheimpflug" else view.scheimpflug_frame(state)
+            self.frames.append((simulation.time_ms, slit.copy()))
+            if scene.output.gif:
+                self.colour_frames.append(image.copy())
+        if self.paraview is not None:
+            count, walls = simulation.cloud.count, simulation.cloud.wall_count
+            self.paraview.add_frame(
+                simulation.time_ms, simulation.aqueous.place.to_numpy()[:count], simulation.cloud.triangles,
+                {"excess_pressure_pa": simulation.aqueous.pressure.to_numpy()[:count],
+                 "velocity_m_s": simulation.aqueous.velocity.to_numpy()[:count]},
+                simulation.cornea.place.to_numpy()[:walls],
+                {"velocity_m_s": simulation.cornea.velocity.to_numpy()[:walls]})
+
+    def _report(self, simulation, stop) -> RunResult:
+        traces = simulation.arrays()
+        if not traces:
+            return RunResult(self.folder, {}, {})
+        before = time.perf_counter()
+        write_traces(self.folder / "traces.csv", traces)
+        plot_apex(self.folder / "apex.png", traces, self.measured)
+        history = summarise(traces["time_ms"], traces["apex_displacement_mm"])
+        if self.frames:
+            times = np.array([at for at, _ in self.frames])
+            chosen = [self.frames[int(np.argmin(np.abs(times - wanted)))]
+                      for wanted in sheet_times(history, float(times[-1]))]
+            plot_sheet(self.folder / "sheet.png", chosen)
+        if self.colour_frames:
+            write_gif(self.colour_frames, self.folder / "film.gif", fps=self.scene.output.film_fps / self.stride,
+                      width_px=GIF_WIDTH_PX)
+        self.clock["report_s"] = time.perf_counter() - before
+        summary = _summary(simulation, traces, history, stop, self.clock, self.measured)
+        write_text(self.folder / "summary.json", json.dumps(summary, indent=2) + "\n")
+        return RunResult(self.folder, summary, traces)
+
+
+def _announce(simulation) -> str:
+    quality, scene = simulation.quality, simulation.scene
+    condition = float(simulation.aqueous.operators.condition.to_numpy()[:simulation.cloud.count].max())
+    return (f"cornea   {simulation.cloud.wall_count - 1} elements, R {scene.cornea.radius_mm:g} mm, limbus "
+            f"{scene.cornea.limbus_radius_mm:g} mm, {scene.cornea.thickness_mm:g} mm thick, IOP {scene.eye.iop_mmhg:g} mmHg\n"
+            f"aqueous  {quality.nodes} nodes at {scene.numerics.spacing_mm:g} mm ({scene.numerics.basis}), smallest gap "
+            f"{quality.smallest_gap:.2f} and largest hole {quality.largest_hole:.2f} spacings, stencil condition <= "
+            f"{condition:.0f}, c {scene.numerics.sound_speed_m_s:g} m/s\n"
+            f"puff     {scene.puff.time_course}, {float(simulation.puff.peak) / 1e3:g} kPa")
+
+
+def _summary(simulation, traces, history, stop, clock, measured) -> dict:
+    load = summarise(traces["time_ms"], traces["puff_apex_kpa"])
+    condition = simulation.aqueous.operators.condition.to_numpy()[:simulation.cloud.count]
+    work = float(np.abs(traces["puff_work_uj"]).max())
+    apex = {**asdict(history), "fwhm_ms": history.fwhm_ms, "asymmetry": history.asymmetry,
+            "delay_to_puff_ms": history.peak_time_ms - load.peak_time_ms if history.peak > 0 else None}
+    summary = {
+        "status": "complete" if stop is None else "stopped",
+        "reason": None if stop is None else (str(stop) or "interrupted"),
+        "simulated_ms": float(traces["time_ms"][-1]),
+        "apex_displacement_mm": apex,
+        "fluid_pressure_apex_max_kpa": float(traces["fluid_pressure_apex_kpa"].max()),
+        "cornea_min_stress_kpa": float(traces["cornea_min_stress_kpa"].min()),
+        "chamber_volume_error_max": float(np.abs(traces["chamber_volume_error"]).max()),
+        "energy_error_share_of_work": float(np.abs(traces["energy_error_uj"]).max()) / work if work > 0 else 0.0,
+        "coupling_iterations": {"mean": float(traces["coupling_iterations"][1:].mean()) if len(traces["time_ms"]) > 1
+                                else 0.0, "most": int(traces["coupling_iterations"].max())},
+        "cloud": {**asdict(simulation.quality), "wall_nodes": simulation.cloud.wall_count,
+                  "worst_stencil_condition": float(condition.max())},
+        "steps": simulation.steps,
+        "step_limit": simulation.step_limit,
+        "operator_rebuilds": simulation.rebuilds,
+        "wall_clock": {name: round(seconds, 3) for name, seconds in clock.items()},
+    }
+    if measured is not None:
+        summary["against"] = {"file": measured.name, **differences(traces["time_ms"], traces["apex_displacement_mm"],
+                                                                   measured)}
+    return summary

@@ -1,0 +1,49 @@
+"""traces.csv: the history of a run, one row per recorded time."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Mapping
+
+import numpy as np
+
+from taichi_eye.report.folder import replacing
+
+COLUMNS = (
+    "time_ms",
+    "apex_displacement_mm",        # inward positive
+    "apex_velocity_m_s",           # inward positive
+    "puff_apex_kpa",               # load on the apex
+    "fluid_pressure_apex_kpa",     # gauge pressure of the fluid under the apex
+    "chamber_volume_error",        # relative to the volume at rest
+    "puff_work_uj",                # work of the puff since t = 0
+    "cornea_elastic_uj",
+    "cornea_kinetic_uj",
+    "aqueous_kinetic_uj",
+    "aqueous_elastic_uj",
+    "viscous_loss_uj",             # lost to viscosity since t = 0
+    "numerical_loss_uj",           # lost to the dissipation of the scheme since t = 0
+    "energy_error_uj",             # work in, less what is stored, less what is lost
+    "coupling_iterations",
+    "coupling_residual",
+    "cornea_min_stress_kpa",       # smallest principal stress in the wall; slack at 0
+)
+WHOLE = ("coupling_iterations",)
+
+
+def write_traces(path: Path, traces: Mapping[str, np.ndarray]) -> None:
+    """Write the columns COLUMNS, arrays of one length [samples], to full precision; the file is whole or absent."""
+    columns = [np.asarray(traces[name]).astype(int if name in WHOLE else float).tolist() for name in COLUMNS]
+    with replacing(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(COLUMNS)
+        rows.writerows(zip(*columns, strict=True))
+
+
+def read_traces(path: Path) -> dict[str, np.ndarray]:
+    """Read what `write_traces` wrote, bit for bit: float64 arrays by column, int64 for counts."""
+    with open(path, encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    return {name: np.array([row[i] for row in rows], dtype=float).astype(int if name in WHOLE else float)
+            for i, name in enumerate(header)}

@@ -1,0 +1,190 @@
+"""Every key of a scene file, in one table: type, unit, default, allowed values and a line of explanation.
+
+Each section is a frozen dataclass and each key one of its fields; validation, defaults, `dump_scene` and the
+documentation all read the `Key` that stands in the field's metadata. To add a key, add a line here.
+"""
+
+# No `from __future__ import annotations` here: the loader reads the field types as classes.
+from dataclasses import dataclass, field, fields
+from typing import Any, Iterator
+
+AUTO = "auto"             # as a value: compute this key from the others
+
+
+@dataclass(frozen=True)
+class Key:
+    """What may stand under one key. Bounds are None where there is none; `computed` keys also take "auto"."""
+
+    default: Any
+    doc: str
+    unit: str = ""
+    above: float | None = None
+    at_least: float | None = None
+    below: float | None = None
+    at_most: float | None = None
+    choices: tuple[str, ...] = ()
+
+    @property
+    def computed(self) -> bool:
+        return self.default == AUTO
+
+    def holds(self, value: Any) -> bool:
+        """True where a value of the right type lies within the bounds or among the choices."""
+        if self.choices:
+            return value in self.choices
+        return not (self.above is not None and not value > self.above
+                    or self.at_least is not None and not value >= self.at_least
+                    or self.below is not None and not value < self.below
+                    or self.at_most is not None and not value <= self.at_most)
+
+    def bounds(self) -> str:
+        """The allowed values in words, e.g. "> 0 and <= 100"; empty where anything goes."""
+        if self.choices:
+            return " | ".join(f'"{c}"' for c in self.choices)
+        pairs = ((">", self.above), (">=", self.at_least), ("<", self.below), ("<=", self.at_most))
+        return " and ".join(f"{sign} {value:.12g}" for sign, value in pairs if value is not None)
+
+
+def key(default: Any, doc: str, **limits: Any) -> Any:
+    """A field of a section: the default ("auto" where it is computed), a line of explanation, unit and limits."""
+    return field(metadata={"key": Key(default, doc, **limits)})
+
+
+@dataclass(frozen=True)
+class Eye:
+    """The eye at rest"""
+
+    iop_mmhg: float = key(15.0, "intraocular pressure over atmosphere", unit="mmHg", at_least=1, at_most=100)
+
+
+@dataclass(frozen=True)
+class Cornea:
+    """A spherical cap, reduced to a membrane; W = A [exp(s ((1-nu)(e1^2+e2^2) + nu (e1+e2)^2)) - 1]"""
+
+    radius_mm: float = key(7.8, "radius of the cap at rest (R)", unit="mm", above=0, at_most=100)
+    limbus_radius_mm: float = key(5.8, "radius of the fixed rim, below radius_mm", unit="mm", above=0, below=100)
+    thickness_mm: float = key(0.55, "thickness (h)", unit="mm", above=0, at_most=2)
+    density_kg_m3: float = key(1050.0, "density of the tissue", unit="kg/m^3", at_least=100, at_most=10000)
+    stiffness_a_pa: float = key(AUTO, "energy scale A; auto: 1562, or what k and the prestrain ask for",
+                                unit="Pa", above=0, at_most=1e9)
+    exponent_k: float = key(AUTO, "k = s (1 + nu); auto: 86.1, or from s, or what A and the prestrain ask for",
+                            above=0, at_most=1e5)
+    exponent_s: float = key(AUTO, "s = k / (1 + nu); auto: from k", above=0, at_most=1e5)
+    poisson_ratio: float = key(0.49, "in-plane coupling nu", at_least=0, at_most=0.5)
+    prestrain: float = key(AUTO, "Green-Lagrange prestrain eps0; auto: such that the wall carries the IOP at rest",
+                           above=0, at_most=0.5)
+
+
+@dataclass(frozen=True)
+class Chamber:
+    """The anterior chamber behind the cornea; its back is rigid"""
+
+    depth_mm: float = key(AUTO, "apex to back plane on the axis, at least the cap depth; auto: the cap depth",
+                          unit="mm", above=0, at_most=100)
+    lens_radius_mm: float = key(0.0, "radius of curvature of a lens cap on the back plane; 0: none",
+                                unit="mm", at_least=0, at_most=100)
+    lens_height_mm: float = key(0.0, "height of that cap over the back plane, below its radius; 0: none",
+                                unit="mm", at_least=0, at_most=100)
+
+
+@dataclass(frozen=True)
+class Aqueous:
+    """The aqueous humour: Newtonian, weakly compressible"""
+
+    density_kg_m3: float = key(1000.0, "density at rest", unit="kg/m^3", at_least=100, at_most=10000)
+    viscosity_mpa_s: float = key(0.8, "dynamic viscosity", unit="mPa s", at_least=0, at_most=1000)
+
+
+@dataclass(frozen=True)
+class PuffLoad:
+    """The air puff: pressure at the apex over time, times a radial profile"""
+
+    time_course: str = key("gaussian", "eq. 2 of the paper, the course measured on a Corvis ST, or puff.file",
+                           choices=("gaussian", "corvis", "file"))
+    peak_kpa: float = key(10.0, "largest pressure at the apex; a file brings its own", unit="kPa",
+                          at_least=0, at_most=100)
+    duration_ms: float = key(30.0, "T of the gaussian course, centred at T/2", unit="ms", above=0, at_most=1000)
+    spread_b: float = key(25.0, "b of the gaussian course exp(-b (2t-T)^2/(4T^2))", above=0, at_most=1e4)
+    spread_a: float = key(21.5, "a of the paper's radial profile exp(-a sin^2 phi)", at_least=0, at_most=1e4)
+    radial_profile: str = key("paper", "exp(-a sin^2 phi), or exp(-r^2/w^2)", choices=("paper", "gaussian"))
+    width_mm: float = key(1.2, "w of the gaussian radial profile", unit="mm", above=0, at_most=100)
+    file: str = key("", "CSV with columns time_ms,pressure_kpa, relative to the scene file; zero outside its times")
+
+
+@dataclass(frozen=True)
+class Numerics:
+    """Discretisation of the fluid, the membrane and their coupling"""
+
+    spacing_mm: float = key(0.1, "node spacing of the fluid", unit="mm", above=0, at_most=10)
+    basis: str = key("quadratic", "Taylor basis of the mesh-free operators", choices=("quadratic", "cubic"))
+    sound_speed_m_s: float = key(60.0, "artificial speed of sound", unit="m/s", at_least=1, at_most=2000)
+    cfl: float = key(0.45, "safety factor on the time step", above=0, at_most=1)
+    dissipation: float = key(0.1, "fourth-order dissipation of p and u, in units of c h", at_least=0, at_most=1)
+    membrane_refinement: int = key(2, "membrane elements per spacing of the wall nodes", at_least=1, at_most=32)
+    wall_condition: str = key("slip", "fluid at the walls", choices=("slip", "no_slip"))
+    coupling: str = key("iterated", "fluid and membrane iterated to the tolerance, or one exchange a step",
+                        choices=("iterated", "loose"))
+    relaxation: str = key("aitken", "relaxation of the coupling iteration", choices=("aitken", "fixed"))
+    relaxation_factor: float = key(1.0, "relaxation factor, the first one with aitken", above=0, at_most=2)
+    coupling_tolerance: float = key(1e-8, "relative residual at which the iteration ends", above=0, at_most=0.1)
+    coupling_iterations_max: int = key(20, "the run stops where a step needs more", at_least=1, at_most=1000)
+    duration_ms: float = key(32.0, "simulated time", unit="ms", above=0, at_most=1000)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """The film: view, image geometry and frame times"""
+
+    view: str = key("both", "slit image, node cloud, or side by side", choices=("scheimpflug", "particles", "both"))
+    colour_by: str = key("pressure", "colour of the nodes", choices=("pressure", "speed"))
+    width_px: int = key(576, "width of the slit image, even", unit="px", at_least=64, at_most=4096)
+    height_px: int = key(200, "height of the slit image, even", unit="px", at_least=64, at_most=4096)
+    pixel_x_mm: float = key(0.015625, "width of a pixel", unit="mm", above=0, at_most=1)
+    pixel_y_mm: float = key(0.0165, "height of a pixel", unit="mm", above=0, at_most=1)
+    frame_interval_ms: float = key(0.2315, "time between frames", unit="ms", above=0, at_most=1000)
+    frame_count: int = key(139, "frames; the last must lie within numerics.duration_ms", at_least=1, at_most=100000)
+    angle_deg: float = key(45.0, "camera axis to slit plane", unit="deg", above=0, below=90)
+    refractive_index: float = key(1.376, "of the cornea; shortens what lies behind its front", at_least=1, at_most=2)
+    apex_column_px: int = key(288, "image column of the axis", unit="px", at_least=0, at_most=4095)
+    apex_row_px: int = key(16, "image row of the apex at rest", unit="px", at_least=0, at_most=4095)
+    noise: bool = key(True, "grain of the sensor")
+    seed: int = key(1, "seed of the grain", at_least=0, at_most=2**31 - 1)
+    stamp: bool = key(True, "time stamp in the image")
+
+
+@dataclass(frozen=True)
+class Output:
+    """What the run folder holds beside the film, the plots and the traces"""
+
+    film_fps: int = key(25, "playing speed of film.mp4", unit="frames/s", at_least=1, at_most=240)
+    png_frames: bool = key(False, "also every frame as a PNG")
+    node_fields: bool = key(False, "also the fields at every frame for ParaView")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A resolved scene: one attribute per section, each with one attribute per key, all values filled in."""
+
+    eye: Eye
+    cornea: Cornea
+    chamber: Chamber
+    aqueous: Aqueous
+    puff: PuffLoad
+    numerics: Numerics
+    camera: Camera
+    output: Output
+
+
+SECTIONS: dict[str, type] = {section.name: section.type for section in fields(Scene)}
+
+
+def keys_of(section: str) -> dict[str, tuple[type, Key]]:
+    """The keys of a section by name: (type, Key)."""
+    return {f.name: (f.type, f.metadata["key"]) for f in fields(SECTIONS[section])}
+
+
+def all_keys() -> Iterator[tuple[str, type, Key]]:
+    """Every key as ("section.key", type, Key), in the order of the table."""
+    for section in SECTIONS:
+        for name, (kind, spec) in keys_of(section).items():
+            yield f"{section}.{name}", kind, spec

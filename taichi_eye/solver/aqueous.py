@@ -1,0 +1,279 @@
+"""The aqueous humour: a weakly compressible Newtonian liquid on moving MFPM nodes.
+
+Equations on a node that moves with velocity w (arbitrary Lagrangian-Eulerian), p the excess over the IOP:
+
+    dp/dt  = -(rho0 c^2 + p) div u - (u - w) . grad p + alpha c h P p + (mass fix)
+    du/dt  = -grad (p - mu/3 div u) / rho + (mu / rho) lap u - (u - w) . grad u + alpha c h P u
+    rho    = rho0 + p / c^2.
+
+c is a numerical sound speed; the sealed chamber makes it a compliance, so its error in the apex peak goes as c^-2.
+
+Node motion. A node keeps its share of the height between the rigid back (0) and the cornea point above it (1) and takes
+that share of the cornea's displacement there. The map is smooth, the limbus wedge and the back stay put, and the nodes
+keep their neighbours through the whole puff, so stencils are chosen once and only their weights are rebuilt.
+
+Walls. Cornea: the normal velocity is the membrane's (slip) or the whole velocity is (no slip). Rigid back and axis:
+nodes slide along, corners stay. The pressure of wall nodes follows from the same continuity equation with their
+one-sided stencils, so nothing is extrapolated.
+
+Stabilisation. alpha c h P (`taichi_eye.mfpm.operators`) acts on p and u at every node, P of third order in h, so the term
+is. Largest growth rates of the semi-discrete coupled system at rest, in c/h (h = 0.25 mm, c = 100 m/s, quadratic basis,
+14 neighbours): alpha 0: 0.14, 0.1: 0.09, 0.2: 0.04, 0.3: 2e-6, 0.5: 1.5e-6; p or u alone at any alpha: 0.06. What is
+left at alpha 0.5 is the first coupled mode itself, growing by 0.6/s. Its price at alpha 0.5, damping of the first three
+coupled modes (309, 550, 804 Hz): none, 19/s, 133/s at h 0.25 mm and none, 4/s, 40/s at 0.18 mm.
+
+Mass fix. Collocation does not conserve mass to rounding, and in a sealed chamber a volume error is a pressure error. The
+mean density has a known value at every instant, rho0 V0 / V with V the volume under the membrane, so each step adds the
+uniform pressure that was missing at its start. It converges to nothing with h and leaves all other modes alone.
+"""
+import numpy as np
+import taichi as ti
+
+from taichi_eye.backend import real
+from taichi_eye.cloud.packing import FIXED, SLIDE, WALL, Cloud
+from taichi_eye.mfpm.neighbours import NeighbourLists, image_of
+from taichi_eye.mfpm.operators import CONDITION_LIMIT, SEARCH_RADIUS, STENCIL, WIDTH, MfpmOperators
+
+CORNERS = 12  # triangles that may meet in a node
+
+
+@ti.data_oriented
+class Aqueous:
+    """Nodes of the aqueous humour in fields; the first `wall_count` are the cornea's, in its order.
+
+    place [m], velocity [m/s], pressure (excess over the IOP) [Pa], volume of a node's ring [m^3].
+    """
+
+    def __init__(self, capacity: int, basis: str, no_slip: bool):
+        fp = real()
+        self.capacity, self.basis, self.no_slip = capacity, basis, no_slip
+        self.neighbours = NeighbourLists(capacity, WIDTH[basis])
+        self.operators = MfpmOperators(self.neighbours, basis)
+        # the dissipation stays on the quadratic basis, whichever basis the equations take
+        self.smoother = self.operators if basis == "quadratic" else MfpmOperators(self.neighbours, "quadratic")
+        self.count = self.neighbours.count
+        self.wall_count = ti.field(ti.i32, ())
+        vector = lambda: ti.Vector.field(2, fp, capacity)
+        scalar = lambda: ti.field(fp, capacity)
+        self.rest, self.place, self.velocity, self.candidate, self.slide = (vector() for _ in range(5))
+        self.pressure, self.potential, self.divergence, self.volume = (scalar() for _ in range(4))
+        self.pressure_gradient, self.laplacian, self.smooth_gradient = vector(), vector(), vector()
+        self.velocity_gradient = ti.Matrix.field(2, 2, fp, capacity)
+        self.smooth_velocity_gradient = ti.Matrix.field(2, 2, fp, capacity)
+        self.pressure_dissipation, self.viscous_loss, self.numerical_loss = (scalar() for _ in range(3))
+        self.kind, self.wall_index = ti.field(ti.i32, capacity), ti.field(ti.i32, capacity)
+        self.wall_fraction, self.height_fraction = scalar(), scalar()
+        self.triangle_count = ti.field(ti.i32, ())
+        self.triangle = ti.field(ti.i32, (2 * capacity, 3))
+        self.rest_area = ti.field(fp, 2 * capacity)
+        self.corner = ti.field(ti.i32, (capacity, CORNERS))
+        self.corner_count = ti.field(ti.i32, capacity)
+        self.density0, self.viscosity, self.sound_speed = (ti.field(fp, ()) for _ in range(3))
+        self.dissipation_length = ti.field(fp, ())  # alpha c h [m^2/s]
+        self.rest_volume, self.pressure_shift = ti.field(fp, ()), ti.field(fp, ())
+
+    def setup(self, cloud: Cloud, density: float, viscosity: float, sound_speed: float, dissipation: float) -> None:
+        """Place the nodes at rest, choose their stencils and compute all weights (SI units)."""
+        count = cloud.count
+        corner = np.zeros((self.capacity, CORNERS), dtype=np.int32)
+        corners = np.zeros(self.capacity, dtype=np.int32)
+        for t, nodes in enumerate(cloud.triangles):
+            for node in nodes:
+                corner[node, corners[node]] = t
+                corners[node] += 1
+        self.wall_count[None], self.triangle_count[None] = cloud.wall_count, len(cloud.triangles)
+        for field, values in ((self.rest, cloud.points), (self.place, cloud.points), (self.kind, cloud.kind),
+                              (self.slide, cloud.direction), (self.wall_index, cloud.wall_index),
+                              (self.wall_fraction, cloud.wall_fraction),
+                              (self.height_fraction, cloud.height_fraction), (self.triangle, cloud.triangles),
+                              (self.corner, corner), (self.corner_count, corners)):
+            whole = np.zeros(field.shape + ((field.n,) if hasattr(field, "n") else ()), dtype=values.dtype)
+            whole[:len(values)] = values
+            field.from_numpy(whole)
+        for field in (self.velocity, self.candidate, self.pressure, self.potential, self.divergence, self.laplacian,
+                      self.velocity_gradient, self.smooth_velocity_gradient, self.pressure_gradient,
+                      self.smooth_gradient, self.viscous_loss, self.numerical_loss, self.pressure_dissipation):
+            field.fill(0.0)
+        self.density0[None], self.viscosity[None], self.sound_speed[None] = density, viscosity, sound_speed
+        self.dissipation_length[None] = dissipation * sound_speed * cloud.spacing
+        self.pressure_shift[None] = 0.0
+        self.neighbours.search(self.place, count, SEARCH_RADIUS[self.basis] * cloud.spacing)
+        self.operators.choose_stencils(self.place, STENCIL[self.basis], CONDITION_LIMIT[self.basis])
+        if self.smoother is not self.operators:
+            self.smoother.choose_stencils(self.place, STENCIL["quadratic"], CONDITION_LIMIT["quadratic"])
+        self.rebuild()
+        self._remember_areas()
+
+    def rebuild(self) -> None:
+        """Recompute operator weights and node volumes at the current places."""
+        self.operators.rebuild(self.place)
+        if self.smoother is not self.operators:
+            self.smoother.rebuild(self.place)
+        self._measure_volumes()
+
+    @ti.func
+    def triangle_area(self, t):
+        """Signed area [m^2] of triangle t; negative once nodes have crossed."""
+        a, b, c = (self.place[self.triangle[t, 0]], self.place[self.triangle[t, 1]], self.place[self.triangle[t, 2]])
+        return 0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+
+    @ti.kernel
+    def _remember_areas(self):
+        for t in range(self.triangle_count[None]):
+            self.rest_area[t] = self.triangle_area(t)
+
+    @ti.kernel
+    def _measure_volumes(self):
+        for i in range(self.count[None]):
+            volume = 0.0
+            for k in range(self.corner_count[i]):
+                t = self.corner[i, k]
+                radii = (self.place[self.triangle[t, 0]][0] + self.place[self.triangle[t, 1]][0]
+                         + self.place[self.triangle[t, 2]][0] + self.place[i][0])
+                volume += 2.0 * ti.math.pi * self.triangle_area(t) * radii / 12.0
+            self.volume[i] = volume
+
+    @ti.func
+    def wall_share(self, i, wall_field: ti.template()):
+        """The share of node i in a vector field on the cornea's nodes (displacement or velocity)."""
+        k, f = self.wall_index[i], self.wall_fraction[i]
+        return self.height_fraction[i] * ((1.0 - f) * wall_field[k] + f * wall_field[k + 1])
+
+    @ti.func
+    def move_node(self, i, wall_rest: ti.template(), wall_place: ti.template()):
+        """Place node i under the current cornea."""
+        k, f = self.wall_index[i], self.wall_fraction[i]
+        shift = (1.0 - f) * (wall_place[k] - wall_rest[k]) + f * (wall_place[k + 1] - wall_rest[k + 1])
+        self.place[i] = self.rest[i] + self.height_fraction[i] * shift
+
+    @ti.func
+    def density(self, i):
+        """Density [kg/m^3] of node i from its pressure."""
+        return self.density0[None] + self.pressure[i] / self.sound_speed[None] ** 2
+
+    @ti.func
+    def find_pressure_gradient(self, i):
+        """Gradient of p - mu/3 div u at node i."""
+        self.pressure_gradient[i] = self.operators.gradient_at(i, self.potential)
+        if ti.static(self.basis != "quadratic"):
+            self.smooth_gradient[i] = self.smoother.gradient_at(i, self.potential)
+
+    @ti.func
+    def find_velocity_gradient(self, i):
+        """Velocity gradient, Laplacian and divergence at node i."""
+        self.velocity_gradient[i] = self.operators.velocity_gradient_at(i, self.velocity)
+        self.laplacian[i] = self.operators.velocity_laplacian_at(i, self.place, self.velocity)
+        self.divergence[i] = self.operators.divergence_from(i, self.place, self.velocity, self.velocity_gradient[i])
+        if ti.static(self.basis != "quadratic"):
+            self.smooth_velocity_gradient[i] = self.smoother.velocity_gradient_at(i, self.velocity)
+
+    @ti.func
+    def smooth_slopes(self, i):
+        """Gradients (p, u) at node i that the dissipation uses: the smoother's own."""
+        slope, slopes = self.pressure_gradient[i], self.velocity_gradient[i]
+        if ti.static(self.basis != "quadratic"):
+            slope, slopes = self.smooth_gradient[i], self.smooth_velocity_gradient[i]
+        return slope, slopes
+
+    @ti.func
+    def dissipation_at(self, i):
+        """P p [Pa/m^2] and P u [1/(m s)] at node i (see `taichi_eye.mfpm.operators`)."""
+        p, u = self.potential[i], self.velocity[i]
+        slope, slopes = self.smooth_slopes(i)
+        rough_p = 0.0
+        rough_u = ti.Vector([0.0, 0.0])
+        for k in range(self.smoother.size[i]):
+            j, sign = image_of(self.neighbours.entry[i, k])
+            weight, arm = self.smoother.pair_weight[i, k], self.smoother.pair_arm[i, k]
+            there = self.velocity[j]
+            other, others = self.smooth_slopes(j)
+            # at an image d/dr of an even field and d/dz of an odd one change sign
+            rough_p += 2.0 * weight * (self.potential[j] - p) - ((slope[0] + sign * other[0]) * arm[0]
+                                                                 + (slope[1] + other[1]) * arm[1])
+            rough_u[0] += 2.0 * weight * (sign * there[0] - u[0]) - ((slopes[0, 0] + others[0, 0]) * arm[0]
+                                                                     + (slopes[0, 1] + sign * others[0, 1]) * arm[1])
+            rough_u[1] += 2.0 * weight * (there[1] - u[1]) - ((slopes[1, 0] + sign * others[1, 0]) * arm[0]
+                                                              + (slopes[1, 1] + others[1, 1]) * arm[1])
+        return rough_p, rough_u
+
+    @ti.func
+    def kick(self, i, dt, wall_velocity: ti.template()):
+        """Momentum: the candidate velocity of node i half a step later, and its pressure dissipation."""
+        rough_p, rough_u = self.dissipation_at(i)
+        rough_u *= self.dissipation_length[None]
+        rho = self.density(i)
+        slip = self.velocity[i] - self.wall_share(i, wall_velocity)
+        gradient = self.velocity_gradient[i]
+        carried = ti.Vector([gradient[0, 0] * slip[0] + gradient[0, 1] * slip[1],
+                             gradient[1, 0] * slip[0] + gradient[1, 1] * slip[1]])
+        push = (self.viscosity[None] * self.laplacian[i] - self.pressure_gradient[i]) / rho - carried + rough_u
+        self.pressure_dissipation[i] = self.dissipation_length[None] * rough_p
+        candidate = self.velocity[i] + dt * push
+        if self.kind[i] == SLIDE:
+            candidate = self.slide[i] * self.slide[i].dot(candidate)
+        elif self.kind[i] == FIXED:
+            candidate = ti.Vector([0.0, 0.0])
+        self.candidate[i] = candidate
+        middle = 0.5 * (candidate + self.velocity[i])
+        self.numerical_loss[i] -= dt * self.volume[i] * (
+            rho * middle.dot(rough_u)
+            + self.pressure[i] * self.pressure_dissipation[i] / (self.density0[None] * self.sound_speed[None] ** 2))
+
+    @ti.func
+    def meet_wall(self, i, wall_place: ti.template(), wall_velocity):
+        """The velocity of wall node i once the cornea moves with `wall_velocity` there."""
+        velocity = wall_velocity
+        if ti.static(not self.no_slip):
+            if i > 0 and self.kind[i] == WALL:
+                along = (wall_place[i + 1] - wall_place[i - 1]).normalized()
+                normal = ti.Vector([-along[1], along[0]])
+                velocity = self.candidate[i] + normal * normal.dot(wall_velocity - self.candidate[i])
+        return velocity
+
+    @ti.func
+    def pressure_rate(self, i, divergence, wall_velocity: ti.template()):
+        """dp/dt [Pa/s] of node i with the divergence given."""
+        slip = self.velocity[i] - self.wall_share(i, wall_velocity)
+        return (self.pressure_dissipation[i] - slip.dot(self.pressure_gradient[i])
+                - (self.density0[None] * self.sound_speed[None] ** 2 + self.pressure[i]) * divergence)
+
+    @ti.func
+    def compress(self, i, dt, wall_velocity: ti.template()):
+        """Continuity: the pressure of node i at the end of the step, and what viscosity has dissipated."""
+        self.pressure[i] += dt * self.pressure_rate(i, self.divergence[i], wall_velocity) + self.pressure_shift[None]
+        self.potential[i] = self.pressure[i] - self.viscosity[None] / 3.0 * self.divergence[i]
+        g, divergence = self.velocity_gradient[i], self.divergence[i]
+        hoop = divergence - g[0, 0] - g[1, 1]
+        squares = g[0, 0] ** 2 + g[1, 1] ** 2 + hoop ** 2 + 0.5 * (g[0, 1] + g[1, 0]) ** 2 - divergence ** 2 / 3.0
+        self.viscous_loss[i] += dt * self.volume[i] * 2.0 * self.viscosity[None] * squares
+
+    @ti.func
+    def missing_pressure(self, volume):
+        """The uniform pressure [Pa] that restores the mean density of the chamber at its volume [m^3]."""
+        total, weight = 0.0, 0.0
+        for i in range(self.count[None]):
+            total += self.volume[i] * self.pressure[i]
+            weight += self.volume[i]
+        stiffness = self.density0[None] * self.sound_speed[None] ** 2
+        return stiffness * (self.rest_volume[None] / volume - 1.0) - total / weight
+
+    @ti.func
+    def energies(self, volume):
+        """Kinetic energy and elastic energy relative to rest [J] of the whole liquid.
+
+        Elastic: mass times the integral of (IOP excluded) p / rho^2 d rho; the IOP's part is left to the caller.
+        """
+        kinetic, elastic, weight = 0.0, 0.0, 0.0
+        c2 = self.sound_speed[None] ** 2
+        rho0 = self.density0[None]
+        for i in range(self.count[None]):
+            rho = self.density(i)
+            kinetic += 0.5 * rho * self.volume[i] * self.velocity[i].norm_sqr()
+            ratio = self.pressure[i] / (rho0 * c2)
+            # ln(1 + x) - x / (1 + x), by its series where the difference would cancel
+            stored = ti.log(1.0 + ratio) - ratio / (1.0 + ratio)
+            if ti.abs(ratio) < 0.01:
+                stored = ratio * ratio * (0.5 - ratio * (2.0 / 3.0 - ratio * (0.75 - 0.8 * ratio)))
+            elastic += rho * self.volume[i] * c2 * stored
+            weight += self.volume[i]
+        return kinetic * volume / weight, elastic * volume / weight

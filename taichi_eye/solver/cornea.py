@@ -1,0 +1,210 @@
+"""The cornea: an axisymmetric exponential-hyperelastic membrane by finite differences in the material angle.
+
+Energy per reference volume (Montanino, Angelillo, Pandolfi): W = A [exp(C (E - E0).(E - E0)) - 1], with E the
+Green-Lagrange strain from the pressurised state. Here, for an isotropic C and E0 = -eps0 I,
+
+    lam1 = |x'| / R,  lam2 = r / (R sin th),  E_i = (lam_i^2 - 1) / 2,  e_i = E_i + eps0,
+    Q = s [(1 - nu)(e1^2 + e2^2) + nu (e1 + e2)^2],  W = A (exp Q - 1),  S_i = dW/dE_i.
+
+Discretisation. Two-point differences on a uniform grid in the angle: stretch and stress live on the elements between
+nodes, with lam1 = |dx| / |dX| and lam2 = (r_i + r_{i+1}) / (R_i + R_{i+1}). The nodal force is minus the derivative of
+the summed energy h A_e W(E1, E2), so the tangent is symmetric, the elastic energy is a state function, and the axis
+(r = 0, z' = 0) needs no special case. Homogeneous stretch x = lam X gives exact strains. Second order; 33 / 66 / 132
+elements put the apex peak of the default eye 0.30 / 0.10 / 0.03 % high (tests/solver/test_cornea.py has the closed
+forms).
+
+Pressure acts on the current surface with p linear along an element and the force of node i the exact integral of
+p N_i n; a uniform pressure therefore does exactly p dV of work on the enclosed volume.
+
+Rest. The discrete sphere is in equilibrium with the IOP up to O(h^2); that remainder is computed once at the reference
+and subtracted as a dead load, so that a scene without a puff stays at rest to rounding.
+
+Units are SI: m, s, Pa, N, J. Forces and masses are those of full rings (2 pi r).
+"""
+import numpy as np
+import taichi as ti
+
+from taichi_eye.backend import real
+
+
+@ti.data_oriented
+class Cornea:
+    """Membrane nodes and elements in fields; capacity counts nodes.
+
+    place, velocity, acceleration: [m], [m/s], [m/s^2]; rest: reference places; force_air, force_solid: forces [N] of the
+    air and of everything else but the fluid's excess pressure; stress: S1, S2 of each element [Pa].
+    """
+
+    def __init__(self, capacity: int):
+        fp = real()
+        self.capacity = capacity
+        self.elements = ti.field(ti.i32, ())
+        vector = lambda: ti.Vector.field(2, fp, capacity)
+        scalar = lambda: ti.field(fp, capacity)
+        self.rest, self.place, self.velocity, self.acceleration = vector(), vector(), vector(), vector()
+        self.residual = vector()
+        self.force_solid, self.force_air, self.tension = vector(), vector(), vector()
+        self.mass, self.hoop, self.load_shape, self.air_pressure = scalar(), scalar(), scalar(), scalar()
+        self.element_length, self.element_radius, self.element_volume = scalar(), scalar(), scalar()
+        self.stress = vector()
+        self.material = ti.field(fp, 4)  # A [Pa], s, nu, eps0
+        self.iop = ti.field(fp, ())
+        self.puff_work = ti.field(fp, ())
+
+    def setup(self, nodes, thickness: float, density: float, material, iop: float, load_shape) -> None:
+        """Place the membrane at rest.
+
+        nodes [n, 2] (m), apex first; thickness (m); density (kg/m^3); material (A in Pa, s, nu, eps0); iop (Pa);
+        load_shape [n]: the puff's pressure at each node relative to its pressure on the axis.
+        """
+        count = len(nodes)
+        length = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
+        radius = 0.5 * (nodes[1:, 0] + nodes[:-1, 0])
+        ring = np.zeros(count)
+        ring[:-1] += 2.0 * np.pi * length * (2.0 * nodes[:-1, 0] + nodes[1:, 0]) / 6.0
+        ring[1:] += 2.0 * np.pi * length * (nodes[:-1, 0] + 2.0 * nodes[1:, 0]) / 6.0
+        self.elements[None] = count - 1
+        for field, values in ((self.rest, nodes), (self.place, nodes), (self.mass, density * thickness * ring),
+                              (self.element_length, length), (self.element_radius, radius),
+                              (self.element_volume, thickness * 2.0 * np.pi * radius * length),
+                              (self.load_shape, load_shape)):
+            whole = np.zeros(field.shape + ((field.n,) if hasattr(field, "n") else ()))
+            whole[:len(values)] = values
+            field.from_numpy(whole)
+        self.material.from_numpy(np.asarray(material, dtype=float))
+        self.iop[None] = iop
+        self.puff_work[None] = 0.0
+        for field in (self.velocity, self.acceleration, self.residual, self.force_air, self.force_solid,
+                      self.air_pressure):
+            field.fill(0.0)
+        self._store_rest_residual()
+
+    @ti.func
+    def stress_of(self, e):
+        """S1, S2 [Pa] and W [J/m^3] at the shifted strains e = (e1, e2)."""
+        stiffness, s, nu = self.material[0], self.material[1], self.material[2]
+        total = e[0] + e[1]
+        grown = ti.exp(s * ((1.0 - nu) * (e[0] * e[0] + e[1] * e[1]) + nu * total * total))
+        factor = 2.0 * stiffness * s * grown
+        return ti.Vector([factor * ((1.0 - nu) * e[0] + nu * total), factor * ((1.0 - nu) * e[1] + nu * total)]), \
+            stiffness * (grown - 1.0)
+
+    @ti.func
+    def strain_of(self, k):
+        """Shifted strains e1, e2 of element k."""
+        edge = self.place[k + 1] - self.place[k]
+        lam1_squared = edge.norm_sqr() / self.element_length[k] ** 2
+        lam2 = 0.5 * (self.place[k][0] + self.place[k + 1][0]) / self.element_radius[k]
+        shift = self.material[3]
+        return ti.Vector([0.5 * (lam1_squared - 1.0) + shift, 0.5 * (lam2 * lam2 - 1.0) + shift])
+
+    @ti.func
+    def stretch_element(self, k):
+        """Edge tension (N, along the edge, pulling node k outwards) and hoop force (N) of element k."""
+        stress, energy = self.stress_of(self.strain_of(k))
+        edge = self.place[k + 1] - self.place[k]
+        lam2 = 0.5 * (self.place[k][0] + self.place[k + 1][0]) / self.element_radius[k]
+        self.stress[k] = stress
+        self.tension[k] = edge * (self.element_volume[k] * stress[0] / self.element_length[k] ** 2)
+        self.hoop[k] = self.element_volume[k] * stress[1] * lam2 * 0.5 / self.element_radius[k]
+
+    @ti.func
+    def elastic_force(self, i):
+        """Internal force [N] on node i from the tensions of its elements."""
+        force = ti.Vector([0.0, 0.0])
+        if i > 0:
+            force -= self.tension[i - 1]
+            force[0] -= self.hoop[i - 1]
+        if i < self.elements[None]:
+            force += self.tension[i]
+            force[0] -= self.hoop[i]
+        return force
+
+    @ti.func
+    def pressure_force(self, i, pressure: ti.template()):
+        """Force [N] on node i of a nodal pressure [Pa] inside, linear along elements, on the current surface."""
+        force = ti.Vector([0.0, 0.0])
+        r1, p1 = self.place[i][0], pressure[i]
+        if i > 0:
+            r0, p0 = self.place[i - 1][0], pressure[i - 1]
+            edge = self.place[i] - self.place[i - 1]
+            weight = 2.0 * ti.math.pi * (r0 * p0 + r0 * p1 + r1 * p0 + 3.0 * r1 * p1) / 12.0
+            force += weight * ti.Vector([-edge[1], edge[0]])
+        if i < self.elements[None]:
+            r2, p2 = self.place[i + 1][0], pressure[i + 1]
+            edge = self.place[i + 1] - self.place[i]
+            weight = 2.0 * ti.math.pi * (r2 * p2 + r2 * p1 + r1 * p2 + 3.0 * r1 * p1) / 12.0
+            force += weight * ti.Vector([-edge[1], edge[0]])
+        return force
+
+    @ti.func
+    def uniform_pressure_force(self, i):
+        """Derivative [m^2] of the enclosed volume with respect to the place of node i."""
+        force = ti.Vector([0.0, 0.0])
+        r1 = self.place[i][0]
+        if i > 0:
+            edge = self.place[i] - self.place[i - 1]
+            force += ti.math.pi * (self.place[i - 1][0] + 2.0 * r1) / 3.0 * ti.Vector([-edge[1], edge[0]])
+        if i < self.elements[None]:
+            edge = self.place[i + 1] - self.place[i]
+            force += ti.math.pi * (self.place[i + 1][0] + 2.0 * r1) / 3.0 * ti.Vector([-edge[1], edge[0]])
+        return force
+
+    @ti.func
+    def held(self, i, vector):
+        """The vector with what the supports take: no radial part at the apex, nothing at the limbus."""
+        kept = vector
+        if i == 0:
+            kept[0] = 0.0
+        if i == self.elements[None]:
+            kept = ti.Vector([0.0, 0.0])
+        return kept
+
+    @ti.func
+    def predict(self, i, dt):
+        """Explicit Newmark (beta 0): the place at the end of the step from the state at its start."""
+        self.place[i] += self.held(i, dt * self.velocity[i] + 0.5 * dt * dt * self.acceleration[i])
+
+    @ti.func
+    def collect_forces(self, i):
+        """Forces of tissue, IOP, dead load and air on node i at the current place; the fluid's excess comes later."""
+        self.force_solid[i] = (self.elastic_force(i) + self.iop[None] * self.uniform_pressure_force(i)
+                               - self.residual[i])
+        self.force_air[i] = -self.pressure_force(i, self.air_pressure)
+
+    @ti.func
+    def enclosed_volume(self):
+        """Volume between the membrane and the limbus plane [m^3]: the frustum formula, exact for the polygon."""
+        volume = 0.0
+        for k in range(self.elements[None]):
+            a, b = self.place[k], self.place[k + 1]
+            volume += ti.math.pi / 3.0 * (a[0] * a[0] + a[0] * b[0] + b[0] * b[0]) * (a[1] - b[1])
+        return volume
+
+    @ti.kernel
+    def _store_rest_residual(self):
+        ti.loop_config(serialize=True)
+        for k in range(self.elements[None]):
+            self.stretch_element(k)
+        ti.loop_config(serialize=True)
+        for i in range(self.elements[None] + 1):
+            self.residual[i] = self.elastic_force(i) + self.iop[None] * self.uniform_pressure_force(i)
+
+    @ti.func
+    def elastic_energy(self):
+        """Stored energy [J] relative to rest is this minus its value at rest: tissue plus dead load."""
+        energy = 0.0
+        for k in range(self.elements[None]):
+            stress, density = self.stress_of(self.strain_of(k))
+            energy += self.element_volume[k] * density
+        for i in range(self.elements[None] + 1):
+            energy += self.residual[i].dot(self.place[i] - self.rest[i])
+        return energy
+
+    @ti.func
+    def kinetic_energy(self):
+        """Kinetic energy of the membrane [J]."""
+        energy = 0.0
+        for i in range(self.elements[None] + 1):
+            energy += 0.5 * self.mass[i] * self.velocity[i].norm_sqr()
+        return energy

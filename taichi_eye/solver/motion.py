@@ -1,0 +1,19 @@
+"""Carries the fluid nodes along with the cornea (see `taichi_eye.solver.aqueous`, node motion)."""
+import taichi as ti
+
+from taichi_eye.solver.aqueous import Aqueous
+from taichi_eye.solver.cornea import Cornea
+
+
+@ti.data_oriented
+class Motion:
+    """Moves the nodes of the aqueous humour under the current cornea."""
+
+    def __init__(self, cornea: Cornea, aqueous: Aqueous):
+        self.cornea, self.aqueous = cornea, aqueous
+
+    @ti.kernel
+    def move_nodes(self):
+        """Place every node according to the cornea's displacement above it."""
+        for i in range(self.aqueous.count[None]):
+            self.aqueous.move_node(i, self.cornea.rest, self.cornea.place)

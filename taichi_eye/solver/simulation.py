@@ -1,0 +1,153 @@
+"""A scene's coupled simulation: built from the scene, run sample by sample, watched by the guards.
+
+Time is cut into film frames, frames into samples of at most `SAMPLE_MS`, samples into equal steps below the stable
+limit of the moment. At each sample the traces grow by a row, the guards look, and the operator weights are rebuilt once
+the wall has moved by `REBUILD_TRAVEL` spacings since they were last.
+"""
+import math
+from typing import Callable
+
+import numpy as np
+
+from taichi_eye.cloud.packing import pack
+from taichi_eye.cloud.quality import CloudQuality, measure
+from taichi_eye.errors import RunStopped
+from taichi_eye.eye.puff import Puff
+from taichi_eye.eye.section import Section
+from taichi_eye.solver import guards, timestep
+from taichi_eye.solver.aqueous import Aqueous
+from taichi_eye.solver.cornea import Cornea
+from taichi_eye.solver.coupling import RUNNING, Coupling
+from taichi_eye.solver.motion import Motion
+from taichi_eye.solver.survey import Survey
+from taichi_eye.units import MM, MMHG, MPA_S, MS
+
+SAMPLE_MS = 0.025  # longest time between two rows of the traces
+REBUILD_TRAVEL = 0.05  # wall travel, in spacings, after which operator weights are rebuilt
+STEPS_MAX = 4096  # longest run of steps between two looks
+
+
+class Simulation:
+    """One scene's coupled cornea and aqueous humour.
+
+    scene: resolved. Public: cornea, aqueous (fields), section, cloud, quality, traces (dict of lists), step_limit (the
+    limit that set the last time step), steps (taken so far), rebuilds.
+    """
+
+    def __init__(self, scene):
+        self.scene = scene
+        self.section = Section.from_scene(scene)
+        self.puff = Puff.from_scene(scene)
+        numerics = scene.numerics
+        self.cloud = pack(self.section, numerics.spacing_mm * MM)
+        self.quality: CloudQuality = measure(self.cloud)
+        walls = self.cloud.wall_count
+        self.cornea = Cornea(walls)
+        self.aqueous = Aqueous(self.cloud.count, numerics.basis, numerics.wall_condition == "no_slip")
+        self.coupling = Coupling(self.cornea, self.aqueous, numerics.coupling == "iterated",
+                                 numerics.relaxation == "aitken", numerics.relaxation_factor,
+                                 numerics.coupling_tolerance, numerics.coupling_iterations_max, STEPS_MAX)
+        self.motion = Motion(self.cornea, self.aqueous)
+        self.survey = Survey(self.cornea, self.aqueous, self.coupling)
+        self._place_at_rest()
+        frame = scene.camera.frame_interval_ms
+        self.samples_per_frame = max(1, math.ceil(frame / SAMPLE_MS - 1e-9))
+        self.sample_ms = frame / self.samples_per_frame
+        self.samples = int(math.floor(numerics.duration_ms / self.sample_ms + 1e-9))
+        self.traces: dict[str, list[float]] = {}
+        self.sample = self.steps = self.rebuilds = 0
+        self._dt = 0.0
+        self._largest_work = 0.0
+        self.step_limit = ""
+
+    def _place_at_rest(self) -> None:
+        scene, cornea = self.scene, self.scene.cornea
+        nodes = self.section.cornea_nodes(self.cloud.wall_count - 1)
+        s = cornea.exponent_k / (1.0 + cornea.poisson_ratio)
+        self.cornea.setup(nodes, cornea.thickness_mm * MM, cornea.density_kg_m3,
+                          (cornea.stiffness_a_pa, s, cornea.poisson_ratio, cornea.prestrain),
+                          scene.eye.iop_mmhg * MMHG, self.puff.radial(nodes[:, 0]))
+        self.aqueous.setup(self.cloud, scene.aqueous.density_kg_m3, scene.aqueous.viscosity_mpa_s * MPA_S,
+                           scene.numerics.sound_speed_m_s, scene.numerics.dissipation)
+        self.aqueous.rest_volume[None] = self.section.volume()
+        self.coupling.reset()
+        self.survey.remember_rest(self.section.back_height(nodes[:, 0]))
+        self.survey.remember_build()
+
+    @property
+    def time_ms(self) -> float:
+        """Simulated time of the last sample."""
+        return self.sample * self.sample_ms
+
+    def run(self, on_frame: Callable[["Simulation", int], None] | None = None,
+            on_sample: Callable[["Simulation"], None] | None = None) -> dict[str, np.ndarray]:
+        """Run to the end; call on_frame(self, frame) at each film frame and on_sample(self) at each sample.
+
+        Returns the traces as arrays. Raises RunStopped when a guard stops the run; `traces` keeps what was computed.
+        """
+        frames = self.scene.camera.frame_count
+        figures = self._record(0.0, 0)
+        while True:
+            frame, rest = divmod(self.sample, self.samples_per_frame)
+            if on_sample:
+                on_sample(self)
+            if rest == 0 and frame < frames and on_frame:
+                on_frame(self, frame)
+            if self.sample >= self.samples:
+                break
+            figures = self._next_sample(figures)
+        return self.arrays()
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The traces so far, one array per column."""
+        return {name: np.array(column) for name, column in self.traces.items()}
+
+    def _next_sample(self, figures):
+        limit, self.step_limit = timestep.stable_step(figures, self.scene)
+        span = self.sample_ms * MS
+        steps = math.ceil(span / limit)
+        dt = span / steps
+        start = self.sample * span
+        taken = 0
+        while taken < steps:
+            now = min(steps - taken, STEPS_MAX)
+            times = start + dt * np.arange(taken + 1, taken + now + 1)
+            self.coupling.advance(self.puff.pressure_at_apex(times), dt, self._dt or dt)
+            self._dt = dt
+            taken += now
+        self.steps += steps
+        self.sample += 1
+        return self._record(dt, steps)
+
+    def _record(self, dt, steps):
+        self.motion.move_nodes()
+        figures = self.survey.take()
+        sweeps, residual, status = self.coupling.counts()
+        stored = sum(figures[name] for name in ("cornea_elastic", "cornea_kinetic", "aqueous_kinetic",
+                                                "aqueous_elastic"))
+        energy_error = stored + figures["viscous_loss"] + figures["numerical_loss"] - figures["puff_work"]
+        self._largest_work = max(self._largest_work, abs(figures["puff_work"]))
+        row = {
+            "time_ms": self.time_ms,
+            "apex_displacement_mm": (self.section.apex_z - figures["apex_place"]) / MM,
+            "apex_velocity_m_s": -figures["apex_velocity"],
+            "puff_apex_kpa": float(self.puff.pressure_at_apex(self.time_ms * MS)) * 1e-3,
+            "fluid_pressure_apex_kpa": figures["fluid_pressure_apex"] * 1e-3,
+            "chamber_volume_error": figures["volume_error"],
+            **{f"{name}_uj": figures[name] * 1e6 for name in
+               ("puff_work", "cornea_elastic", "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic", "viscous_loss",
+                "numerical_loss")},
+            "energy_error_uj": energy_error * 1e6,
+            "coupling_iterations": sweeps / steps if steps else 0.0,
+            "coupling_residual": residual,
+            "cornea_min_stress_kpa": figures["least_stress"] * 1e-3,
+        }
+        guards.check(figures, energy_error, self._largest_work, status, self.scene,
+                     lambda node: float(self.cloud.points[node, 0]) / MM, self.time_ms)
+        for name, value in row.items():
+            self.traces.setdefault(name, []).append(value)
+        if figures["wall_travel"] > REBUILD_TRAVEL * self.cloud.spacing:
+            self.aqueous.rebuild()
+            self.survey.remember_build()
+            self.rebuilds += 1
+        return figures
