@@ -23,7 +23,7 @@ from taichi_eye.report.paraview import ParaviewWriter
 from taichi_eye.report.plots import plot_apex, plot_sheet, sheet_times
 from taichi_eye.report.traces import write_traces
 from taichi_eye.scene import Scene, dump_scene
-from taichi_eye.solver.simulation import Simulation
+from taichi_eye.solver.simulation import Simulation, cloud_of
 
 KEPT_FRAMES = 300  # frames held for the sheet and the GIF; a longer film is thinned
 GIF_WIDTH_PX = 480
@@ -49,10 +49,11 @@ def run(scene: Scene, out: str | Path | None = None, name: str = "eye", compare:
     """
     measured = read_measured(compare) if compare is not None else None
     backend.real()
+    cloud = cloud_of(scene)
     folder = create_run_folder(out, name)
     write_text(folder / "scene.toml", dump_scene(scene))
     recorder = _Recorder(scene, folder, measured, progress)
-    return recorder.run()
+    return recorder.run(cloud)
 
 
 class _Recorder:
@@ -66,14 +67,14 @@ class _Recorder:
         self.clock: dict[str, float] = {}
         self.paraview = None
 
-    def run(self) -> RunResult:
+    def run(self, cloud) -> RunResult:
         """Run to the end, to a guard's stop or to an interrupt; write everything in any case."""
         started = time.perf_counter()
         scene, output = self.scene, self.scene.output
         with tqdm(total=scene.numerics.duration_ms, unit=" ms", disable=not self.progress, dynamic_ncols=True,
                   bar_format="{desc}{percentage:3.0f}%|{bar}| {n:.1f}/{total:.0f} ms [{elapsed}<{remaining}]") as bar:
-            bar.set_description_str("packing nodes, compiling kernels: ")
-            simulation = Simulation(scene)
+            bar.set_description_str("compiling kernels: ")
+            simulation = Simulation(scene, cloud)
             view = FilmView(scene)
             self.clock["setup_s"] = time.perf_counter() - started
             if self.progress:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import Delaunay, cKDTree
 
+from taichi_eye.errors import SceneError
 from taichi_eye.eye.section import Section
 
 # what a node may do: move freely, follow the cornea, slide along a fixed direction, or stay
@@ -20,10 +21,6 @@ HOLE_LIMIT = 0.78  # largest circumradius of an empty triangle, in spacings
 GAP_LIMIT = 0.62  # smallest distance between two nodes, in spacings
 SHORT_SIDE = 0.7  # in spacings
 REACH = 1.6  # of the repulsion, in spacings
-
-
-class CloudError(Exception):
-    """No acceptable cloud could be made for this section and spacing."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +165,7 @@ def _holes(section, points, spacing):
 def pack(section: Section, spacing: float, rounds: int = 300, repairs: int = 40) -> Cloud:
     """A packed cloud of the section at `spacing` [m].
 
-    Raises CloudError where holes or gaps cannot be repaired (the spacing is too coarse for the section).
+    Raises SceneError where holes or gaps cannot be repaired (the spacing is too coarse for the section).
     """
     fixed, kind, direction, wall_count = boundary(section, spacing)
     row = spacing * np.sqrt(3.0) / 2.0
@@ -178,7 +175,8 @@ def pack(section: Section, spacing: float, rounds: int = 300, repairs: int = 40)
     inner = np.column_stack([r.ravel(), z.ravel()])
     inner = inner[section.wall_clearance(inner) > 0.6 * spacing]
     if len(inner) < 8:
-        raise CloudError(f"only {len(inner)} nodes fit inside the chamber at a spacing of {spacing * 1e3:g} mm")
+        raise SceneError(f"numerics.spacing_mm = {spacing * 1e3:g}: only {len(inner)} nodes fit inside the chamber; "
+                         "at least 8 are needed, so take a smaller spacing")
     inner = _relax(section, fixed, inner, spacing, rounds)
     for _ in range(repairs):
         points = np.vstack([fixed, inner])
@@ -192,8 +190,9 @@ def pack(section: Section, spacing: float, rounds: int = 300, repairs: int = 40)
             inner = np.delete(inner, np.argmin(gap), 0)
         inner = _relax(section, fixed, inner, spacing, rounds // 2)
     else:
-        raise CloudError(f"the cloud at a spacing of {spacing * 1e3:g} mm keeps a hole of {hole / spacing:.2f} or a "
-                         f"gap of {gap.min() / spacing:.2f} spacings")
+        raise SceneError(f"numerics.spacing_mm = {spacing * 1e3:g}: the node cloud keeps a hole of {hole / spacing:.2f} "
+                         f"(at most {HOLE_LIMIT}) or a gap of {gap.min() / spacing:.2f} (at least {GAP_LIMIT}) "
+                         "spacings in this chamber; take another spacing, smaller if in doubt")
     inner = inner[np.lexsort((inner[:, 1], np.floor(inner[:, 0] / (3.0 * spacing))))]
     return _finish(section, spacing, np.vstack([fixed, inner]), kind, direction, wall_count)
 

@@ -151,8 +151,10 @@ def _puff(draft: Draft) -> None:
 def _camera(draft: Draft) -> None:
     """Frame times within the run, the apex within the image, and a size that the encoder takes."""
     count, interval, duration = "camera.frame_count", "camera.frame_interval_ms", "numerics.duration_ms"
-    if (draft[count] - 1) * draft[interval] > draft[duration] * (1.0 + 1e-12):
-        fits = int(draft[duration] / draft[interval] * (1.0 + 1e-12)) + 1
+    fits = int(draft[duration] / draft[interval] * (1.0 + 1e-12)) + 1
+    if not draft.given(count):
+        draft.values[count] = fits
+    elif draft[count] > fits:
         draft.refuse(f"the last frame, at {(draft[count] - 1) * draft[interval]:.6g} ms, must lie within the run; "
                      f"at most {fits} frames", count, interval, duration)
     for size, place in (("camera.width_px", "camera.apex_column_px"), ("camera.height_px", "camera.apex_row_px")):

@@ -117,10 +117,11 @@ class Numerics:
 
     spacing_mm: float = key(0.1, "node spacing of the fluid", unit="mm", above=0, at_most=10)
     basis: str = key("quadratic", "Taylor basis of the mesh-free operators", choices=("quadratic", "cubic"))
-    sound_speed_m_s: float = key(60.0, "artificial speed of sound", unit="m/s", at_least=1, at_most=2000)
-    cfl: float = key(0.45, "safety factor on the time step", above=0, at_most=1)
-    dissipation: float = key(0.1, "fourth-order dissipation of p and u, in units of c h", at_least=0, at_most=1)
-    membrane_refinement: int = key(2, "membrane elements per spacing of the wall nodes", at_least=1, at_most=32)
+    sound_speed_m_s: float = key(80.0, "numerical speed of sound; its compliance deepens the dent as c^-2", unit="m/s",
+                                    at_least=1, at_most=2000)
+    cfl: float = key(0.8, "factor on the stable time step", above=0, at_most=1)
+    dissipation: float = key(0.5, "fourth-difference dissipation of p and u, in units of c h; unstable below 0.3",
+                              at_least=0, at_most=1)
     wall_condition: str = key("slip", "fluid at the walls", choices=("slip", "no_slip"))
     coupling: str = key("iterated", "fluid and membrane iterated to the tolerance, or one exchange a step",
                         choices=("iterated", "loose"))
@@ -142,7 +143,8 @@ class Camera:
     pixel_x_mm: float = key(0.015625, "width of a pixel", unit="mm", above=0, at_most=1)
     pixel_y_mm: float = key(0.0165, "height of a pixel", unit="mm", above=0, at_most=1)
     frame_interval_ms: float = key(0.2315, "time between frames", unit="ms", above=0, at_most=1000)
-    frame_count: int = key(139, "frames; the last must lie within numerics.duration_ms", at_least=1, at_most=100000)
+    frame_count: int = key(AUTO, "frames, the first at rest; as many as fit into numerics.duration_ms", at_least=1,
+                           at_most=100000)
     angle_deg: float = key(45.0, "camera axis to slit plane", unit="deg", above=0, below=90)
     refractive_index: float = key(1.376, "of the cornea; shortens what lies behind its front", at_least=1, at_most=2)
     apex_column_px: int = key(288, "image column of the axis", unit="px", at_least=0, at_most=4095)
@@ -158,6 +160,7 @@ class Output:
 
     film_fps: int = key(25, "playing speed of film.mp4", unit="frames/s", at_least=1, at_most=240)
     png_frames: bool = key(False, "also every frame as a PNG")
+    gif: bool = key(False, "also a small looping GIF of the film")
     node_fields: bool = key(False, "also the fields at every frame for ParaView")
 
 

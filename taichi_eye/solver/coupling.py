@@ -80,7 +80,7 @@ class Coupling:
         self.sweeps[None], self.worst_residual[None] = 0, 0.0
 
     def counts(self) -> tuple[int, float, int]:
-        """Sweeps and the worst residual since the last call, and the status."""
+        """Most sweeps in a step and worst residual since the last call, and the status."""
         counted = self.sweeps[None], self.worst_residual[None], self.status[None]
         self.sweeps[None], self.worst_residual[None] = 0, 0.0
         return counted
@@ -126,7 +126,7 @@ class Coupling:
             square, product = 0.0, 0.0
             for i in range(walls):
                 force = (self.cornea.force_solid[i] + self.cornea.force_air[i]
-                         + self.cornea.pressure_force(i, self.wall_pressure))
+                         + self.wall_pressure[i] * self.cornea.volume_gradient(i))
                 miss = self.cornea.held(i, force / self.cornea.mass[i]) - self.guess[i]
                 change = miss - self.last_miss[i]
                 square += change.norm_sqr()
@@ -152,7 +152,7 @@ class Coupling:
         if ti.static(self.iterated):
             if not (residual <= self.tolerance):
                 self.status[None] = NOT_CONVERGED
-        self.sweeps[None] += sweep
+        self.sweeps[None] = ti.max(self.sweeps[None], sweep)
         self.worst_residual[None] = ti.max(self.worst_residual[None], residual)
 
     @ti.func

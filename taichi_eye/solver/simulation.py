@@ -9,15 +9,14 @@ from typing import Callable
 
 import numpy as np
 
-from taichi_eye.cloud.packing import pack
+from taichi_eye.cloud.packing import Cloud, pack
 from taichi_eye.cloud.quality import CloudQuality, measure
-from taichi_eye.errors import RunStopped
 from taichi_eye.eye.puff import Puff
 from taichi_eye.eye.section import Section
 from taichi_eye.solver import guards, timestep
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.cornea import Cornea
-from taichi_eye.solver.coupling import RUNNING, Coupling
+from taichi_eye.solver.coupling import Coupling
 from taichi_eye.solver.motion import Motion
 from taichi_eye.solver.survey import Survey
 from taichi_eye.units import MM, MMHG, MPA_S, MS
@@ -27,19 +26,24 @@ REBUILD_TRAVEL = 0.05  # wall travel, in spacings, after which operator weights 
 STEPS_MAX = 4096  # longest run of steps between two looks
 
 
+def cloud_of(scene) -> Cloud:
+    """The packed node cloud of a resolved scene; SceneError where its chamber cannot be filled at its spacing."""
+    return pack(Section.from_scene(scene), scene.numerics.spacing_mm * MM)
+
+
 class Simulation:
     """One scene's coupled cornea and aqueous humour.
 
-    scene: resolved. Public: cornea, aqueous (fields), section, cloud, quality, traces (dict of lists), step_limit (the
+    scene: resolved; cloud: its `cloud_of`, packed here when left out (SceneError where that fails). Public: cornea, aqueous (fields), section, cloud, quality, traces (dict of lists), step_limit (the
     limit that set the last time step), steps (taken so far), rebuilds.
     """
 
-    def __init__(self, scene):
+    def __init__(self, scene, cloud: Cloud | None = None):
         self.scene = scene
-        self.section = Section.from_scene(scene)
         self.puff = Puff.from_scene(scene)
         numerics = scene.numerics
-        self.cloud = pack(self.section, numerics.spacing_mm * MM)
+        self.cloud = cloud or cloud_of(scene)
+        self.section = self.cloud.section
         self.quality: CloudQuality = measure(self.cloud)
         walls = self.cloud.wall_count
         self.cornea = Cornea(walls)
@@ -86,7 +90,7 @@ class Simulation:
         Returns the traces as arrays. Raises RunStopped when a guard stops the run; `traces` keeps what was computed.
         """
         frames = self.scene.camera.frame_count
-        figures = self._record(0.0, 0)
+        figures = self._record()
         while True:
             frame, rest = divmod(self.sample, self.samples_per_frame)
             if on_sample:
@@ -117,9 +121,9 @@ class Simulation:
             taken += now
         self.steps += steps
         self.sample += 1
-        return self._record(dt, steps)
+        return self._record()
 
-    def _record(self, dt, steps):
+    def _record(self):
         self.motion.move_nodes()
         figures = self.survey.take()
         sweeps, residual, status = self.coupling.counts()
@@ -138,7 +142,7 @@ class Simulation:
                ("puff_work", "cornea_elastic", "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic", "viscous_loss",
                 "numerical_loss")},
             "energy_error_uj": energy_error * 1e6,
-            "coupling_iterations": sweeps / steps if steps else 0.0,
+            "coupling_iterations": sweeps,
             "coupling_residual": residual,
             "cornea_min_stress_kpa": figures["least_stress"] * 1e-3,
         }

@@ -230,7 +230,7 @@ def test_all_problems_stand_in_one_message(write):
     (["numerics.spacing_mm=0.7"], ["numerics.spacing_mm = 0.7", "at most 0.6462 mm"]),
     (["chamber.lens_radius_mm=10", "chamber.lens_height_mm=1", "numerics.spacing_mm=0.45"], ["at most 0.3962 mm"]),
     (["numerics.spacing_mm=0.007"], ["numerics.spacing_mm = 0.007", "200000"]),
-    (["numerics.duration_ms=10"], ["numerics.duration_ms = 10.0", "at most 44 frames"]),
+    (["numerics.duration_ms=10", "camera.frame_count=45"], ["numerics.duration_ms = 10.0", "at most 44 frames"]),
     (["camera.width_px=577"], ["camera.width_px = 577", "even"]),
     (["camera.apex_column_px=576"], ["camera.apex_column_px = 576", "at most 575"]),
     (["camera.height_px=100", "camera.apex_row_px=100"], ["camera.apex_row_px = 100", "at most 99"]),
@@ -241,6 +241,11 @@ def test_keys_that_contradict_each_other_are_refused(overrides, parts):
     said = refusal(*overrides)
     for part in ["--set", *parts]:
         assert part in said
+
+
+def test_frames_fill_the_duration_by_default():
+    assert load_scene().camera.frame_count == 139
+    assert load_scene(None, ["numerics.duration_ms=10"]).camera.frame_count == 44
 
 
 def test_just_enough_is_accepted():
