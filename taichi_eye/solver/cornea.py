@@ -43,7 +43,7 @@ class Cornea:
         vector = lambda: ti.Vector.field(2, fp, capacity)
         scalar = lambda: ti.field(fp, capacity)
         self.rest, self.place, self.velocity, self.acceleration = vector(), vector(), vector(), vector()
-        self.residual = vector()
+        self.residual, self.lost = vector(), vector()
         self.force_solid, self.force_air, self.tension = vector(), vector(), vector()
         self.mass, self.hoop, self.load_shape, self.air_pressure = scalar(), scalar(), scalar(), scalar()
         self.element_length, self.element_radius, self.element_volume = scalar(), scalar(), scalar()
@@ -76,7 +76,7 @@ class Cornea:
         self.material.from_numpy(np.asarray(material, dtype=float))
         self.iop[None] = iop
         self.puff_work[None] = 0.0
-        for field in (self.velocity, self.acceleration, self.residual, self.force_air, self.force_solid,
+        for field in (self.velocity, self.acceleration, self.residual, self.lost, self.force_air, self.force_solid,
                       self.air_pressure):
             field.fill(0.0)
         self._store_rest_residual()
@@ -148,8 +148,14 @@ class Cornea:
 
     @ti.func
     def predict(self, i, dt):
-        """Explicit Newmark (beta 0): the place at the end of the step from the state at its start."""
-        self.place[i] += self.held(i, dt * self.velocity[i] + 0.5 * dt * dt * self.acceleration[i])
+        """Explicit Newmark (beta 0): the place at the end of the step from the state at its start.
+
+        The sum is compensated (Kahan): a step moves a node by less than f32 resolves at its place.
+        """
+        step = self.held(i, dt * self.velocity[i] + 0.5 * dt * dt * self.acceleration[i]) - self.lost[i]
+        moved = self.place[i] + step
+        self.lost[i] = (moved - self.place[i]) - step
+        self.place[i] = moved
 
     @ti.func
     def collect_forces(self, i):

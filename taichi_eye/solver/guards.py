@@ -14,12 +14,11 @@ ENERGY_SHARE = 0.1  # of the largest work done so far
 ENERGY_FLOOR = 1e-10  # J: below it no balance is judged (the default puff works 3e-5 J)
 
 
-def check(figures: dict[str, float], energy_error: float, largest_work: float, status: int, scene, radius_mm,
+def check(figures: dict[str, float], energy_error: float, largest_work: float, scene, radius_mm,
           time_ms: float) -> None:
     """Raise RunStopped where the figures of a survey show a run that is no longer valid.
 
-    energy_error [J]: stored + dissipated - work; largest_work [J]: the largest |work| so far; status: the coupling's;
-    radius_mm(node): reference radius of a node.
+    energy_error [J]: stored + dissipated - work; largest_work [J]: the largest |work| so far; radius_mm(node): reference radius of a node.
     """
     numerics = scene.numerics
 
@@ -48,7 +47,7 @@ def check(figures: dict[str, float], energy_error: float, largest_work: float, s
         raise RunStopped("energy changed without work",
                          f"balance off by {energy_error * 1e6:.3g} uJ, largest work {largest_work * 1e6:.3g} uJ",
                          time_ms, unstable)
-    if status == NOT_CONVERGED:
+    if figures["coupling_status"] == NOT_CONVERGED:
         raise RunStopped("the coupling iteration did not converge",
                          f"in {numerics.coupling_iterations_max} sweeps", time_ms,
                          "Lower numerics.cfl, raise numerics.coupling_iterations_max or numerics.coupling_tolerance, "
