@@ -40,46 +40,47 @@ RUNNING, NOT_CONVERGED = 0, 1
 
 @ti.data_oriented
 class Coupling:
-    """Steps cornea and aqueous humour together.
+    """Steps cornea and aqueous humour together; `setup` says how."""
 
-    iterated, aitken: how the iteration of step 3 runs; factor: (first) relaxation factor; tolerance: largest change of
-    the membrane's velocity in a sweep over its largest velocity; sweeps_max.
-    """
-
-    def __init__(self, cornea: Cornea, aqueous: Aqueous, iterated: bool, aitken: bool, factor: float, tolerance: float,
-                 sweeps_max: int):
+    def __init__(self, cornea: Cornea, aqueous: Aqueous):
         fp = real()
         self.cornea, self.aqueous = cornea, aqueous
-        self.nodes = aqueous.capacity
-        self.iterated, self.aitken, self.factor = iterated, aitken, factor
-        self.tolerance, self.sweeps_max = max(tolerance, FINEST_TOLERANCE[fp]), sweeps_max
-        self.velocity_floor = VELOCITY_FLOOR[fp]
-        self.guess = ti.Vector.field(2, fp, cornea.capacity)
-        self.miss = ti.Vector.field(2, fp, cornea.capacity)
-        self.last_miss = ti.Vector.field(2, fp, cornea.capacity)
-        self.wall_velocity = ti.Vector.field(2, fp, cornea.capacity)
+        vector = lambda: ti.Vector.field(2, fp, cornea.capacity)
+        self.guess, self.miss, self.last_miss, self.wall_velocity = vector(), vector(), vector(), vector()
         self.wall_pressure = ti.field(fp, cornea.capacity)
+        self.iterated, self.aitken, self.sweeps_max = (ti.field(ti.i32, ()) for _ in range(3))
+        self.factor, self.tolerance, self.velocity_floor = (ti.field(fp, ()) for _ in range(3))
         self.status = ti.field(ti.i32, ())
-        self.failed_step = ti.field(ti.i32, ())
         # the most sweeps of a step and the worst residual since they were last read
         self.sweeps = ti.field(ti.i32, ())
         self.worst_residual, self.rest_enclosed = ti.field(fp, ()), ti.field(fp, ())
+
+    def setup(self, iterated: bool, aitken: bool, factor: float, tolerance: float, sweeps_max: int) -> None:
+        """How step 3 runs, and a fresh start.
+
+        factor: (first) relaxation factor; tolerance: largest change of the membrane's velocity in a sweep over its
+        largest velocity; sweeps_max: at which the run counts as not converged.
+        """
+        self._load(iterated, aitken, factor, max(tolerance, FINEST_TOLERANCE[real()]), VELOCITY_FLOOR[real()],
+                   sweeps_max)
+
+    @ti.kernel
+    def _load(self, iterated: int, aitken: int, factor: float, tolerance: float, floor: float, sweeps_max: int):
+        self.iterated[None], self.aitken[None], self.sweeps_max[None] = iterated, aitken, sweeps_max
+        self.factor[None], self.tolerance[None], self.velocity_floor[None] = factor, tolerance, floor
+        self.status[None] = RUNNING
+        self.sweeps[None], self.worst_residual[None] = 0, 0.0
 
     def advance(self, puff_apex, dt: float, dt_before: float) -> None:
         """Take len(puff_apex) steps of dt [s]; puff_apex [Pa]: the puff on the axis at the end of each step.
 
         dt_before is the step before this call: velocities live at half steps, so the first kick spans both halves.
         """
-        if backend.on_cpu() and (self.nodes <= SERIAL_NODES or backend.threads() == 1):
+        if backend.on_cpu() and (self.aqueous.nodes <= SERIAL_NODES or backend.threads() == 1):
             self._advance_serially(np.ascontiguousarray(puff_apex, dtype=float), dt, dt_before)
         else:
             for step, puff in enumerate(puff_apex):
-                self._step_in_parallel(step, puff, dt, 0.5 * (dt + dt_before) if step == 0 else dt)
-
-    def reset(self) -> None:
-        """Forget earlier failures and counts."""
-        self.status[None], self.failed_step[None] = RUNNING, -1
-        self.sweeps[None], self.worst_residual[None] = 0, 0.0
+                self._step_in_parallel(puff, dt, 0.5 * (dt + dt_before) if step == 0 else dt)
 
     @ti.func
     def _start_step(self, i, puff, dt):
@@ -101,12 +102,12 @@ class Coupling:
     def _match_wall(self, dt):
         """Step 3: iterate the membrane's acceleration; serial over the wall nodes."""
         walls = self.aqueous.wall_count[None]
-        omega = 1.0 * self.factor
+        omega = self.factor[None]
         sweep = 0
         residual = ti.math.inf
         going = True
         while going:
-            top = 1.0 * self.velocity_floor
+            top = self.velocity_floor[None]
             for i in range(walls):
                 after = self.cornea.velocity[i] + 0.5 * dt * (self.cornea.acceleration[i] + self.guess[i])
                 self.wall_velocity[i] = self.cornea.held(i, 0.5 * (self.cornea.velocity[i] + after))
@@ -131,13 +132,12 @@ class Coupling:
                 self.miss[i] = miss
             residual /= top
             sweep += 1
-            if ti.static(self.iterated):
+            if self.iterated[None] == 1:
                 # written so that NaN goes on to the limit instead of passing
-                going = not (residual <= self.tolerance) and sweep < self.sweeps_max
+                going = not (residual <= self.tolerance[None]) and sweep < self.sweeps_max[None]
                 if going:
-                    if ti.static(self.aitken):
-                        if sweep > 1 and square > 0.0:
-                            omega = -omega * product / square
+                    if self.aitken[None] == 1 and sweep > 1 and square > 0.0:
+                        omega = -omega * product / square
                     for i in range(walls):
                         self.guess[i] += omega * self.miss[i]
                         self.last_miss[i] = self.miss[i]
@@ -145,9 +145,8 @@ class Coupling:
                 going = False
                 for i in range(walls):
                     self.guess[i] += self.miss[i]
-        if ti.static(self.iterated):
-            if not (residual <= self.tolerance):
-                self.status[None] = NOT_CONVERGED
+        if self.iterated[None] == 1 and not (residual <= self.tolerance[None]):
+            self.status[None] = NOT_CONVERGED
         self.sweeps[None] = ti.max(self.sweeps[None], sweep)
         self.worst_residual[None] = ti.max(self.worst_residual[None], residual)
 
@@ -193,11 +192,9 @@ class Coupling:
                 for i in range(walls):
                     self._end_cornea_step(i, dt)
                 self._settle_pressure()
-                if self.status[None] != RUNNING:
-                    self.failed_step[None] = step
 
     @ti.kernel
-    def _step_in_parallel(self, step: int, puff: float, dt: float, kick_dt: float):
+    def _step_in_parallel(self, puff: float, dt: float, kick_dt: float):
         ti.loop_config(serialize=True)
         for once in range(1):
             walls = self.aqueous.wall_count[None]
@@ -227,5 +224,3 @@ class Coupling:
             for i in range(self.aqueous.wall_count[None]):
                 self._end_cornea_step(i, dt)
             self._settle_pressure()
-            if self.status[None] != RUNNING and self.failed_step[None] < 0:
-                self.failed_step[None] = step

@@ -37,11 +37,13 @@ class Survey:
 
     def remember_rest(self, back_height) -> None:
         """Take the present state as rest; back_height [wall nodes]: z of the rigid back below each [m]."""
-        self.back.from_numpy(back_height)
-        self._remember_rest()
+        self._remember_rest(np.asarray(back_height, dtype=float))
 
     @ti.kernel
-    def _remember_rest(self):
+    def _remember_rest(self, back_height: ti.types.ndarray()):
+        for i in range(self.aqueous.wall_count[None]):
+            self.back[i] = back_height[i]
+            self.built_place[i] = self.cornea.place[i]
         ti.loop_config(serialize=True)
         for once in range(1):
             self.rest_energy[None] = self.cornea.elastic_energy()
