@@ -25,7 +25,7 @@ from taichi_eye.scene import Scene, dump_scene
 from taichi_eye.solver.simulation import Simulation, cloud_of
 
 KEPT_FRAMES = 300  # frames held for the sheet and the GIF; a longer film is thinned
-GIF_WIDTH_PX, GIF_STRIDE, GIF_COLOURS = 480, 2, 32  # small enough for a README
+GIF_WIDTH_PX, GIF_STRIDE, GIF_COLOURS = 480, 3, 128  # small enough for a README
 
 
 @dataclass(frozen=True)
