@@ -41,13 +41,14 @@ CORNERS = 12  # triangles that may meet in a node
 class Aqueous:
     """Nodes of the aqueous humour in fields; the first `wall_count` are the cornea's, in its order.
 
-    place [m], velocity [m/s], pressure (excess over the IOP) [Pa], volume of a node's ring [m^3].
+    place [m], velocity [m/s], pressure (excess over the IOP) [Pa], volume of a node's ring [m^3]. planar: a plane flow
+    in (x, z) instead, volumes per metre of depth; verification problems use it.
     """
 
-    def __init__(self, capacity: int, basis: str, no_slip: bool):
+    def __init__(self, capacity: int, basis: str, no_slip: bool, planar: bool = False):
         fp = real()
-        self.capacity, self.basis, self.no_slip = capacity, basis, no_slip
-        self.neighbours = NeighbourLists(capacity, WIDTH[basis])
+        self.capacity, self.basis, self.no_slip, self.planar = capacity, basis, no_slip, planar
+        self.neighbours = NeighbourLists(capacity, WIDTH[basis], planar)
         self.operators = MfpmOperators(self.neighbours, basis)
         # the dissipation stays on the quadratic basis, whichever basis the equations take
         self.smoother = self.operators if basis == "quadratic" else MfpmOperators(self.neighbours, "quadratic")
@@ -72,8 +73,12 @@ class Aqueous:
         self.dissipation_length = ti.field(fp, ())  # alpha c h [m^2/s]
         self.rest_volume, self.pressure_shift = ti.field(fp, ()), ti.field(fp, ())
 
-    def setup(self, cloud: Cloud, density: float, viscosity: float, sound_speed: float, dissipation: float) -> None:
-        """Place the nodes at rest, choose their stencils and compute all weights (SI units)."""
+    def setup(self, cloud: Cloud, density: float, viscosity: float, sound_speed: float, dissipation: float,
+              stencil: int | None = None) -> None:
+        """Place the nodes at rest, choose their stencils and compute all weights (SI units).
+
+        stencil: neighbours wanted per node; the basis has its own number.
+        """
         count = cloud.count
         corner = np.zeros((self.capacity, CORNERS), dtype=np.int32)
         corners = np.zeros(self.capacity, dtype=np.int32)
@@ -98,7 +103,7 @@ class Aqueous:
         self.dissipation_length[None] = dissipation * sound_speed * cloud.spacing
         self.pressure_shift[None] = 0.0
         self.neighbours.search(self.place, count, SEARCH_RADIUS[self.basis] * cloud.spacing)
-        self.operators.choose_stencils(self.place, STENCIL[self.basis], CONDITION_LIMIT[self.basis])
+        self.operators.choose_stencils(self.place, stencil or STENCIL[self.basis], CONDITION_LIMIT[self.basis])
         if self.smoother is not self.operators:
             self.smoother.choose_stencils(self.place, STENCIL["quadratic"], CONDITION_LIMIT["quadratic"])
         self.rebuild()
@@ -130,7 +135,10 @@ class Aqueous:
                 t = self.corner[i, k]
                 radii = (self.place[self.triangle[t, 0]][0] + self.place[self.triangle[t, 1]][0]
                          + self.place[self.triangle[t, 2]][0] + self.place[i][0])
-                volume += 2.0 * ti.math.pi * self.triangle_area(t) * radii / 12.0
+                if ti.static(self.planar):
+                    volume += self.triangle_area(t) / 3.0
+                else:
+                    volume += 2.0 * ti.math.pi * self.triangle_area(t) * radii / 12.0
             self.volume[i] = volume
 
     @ti.func

@@ -1,0 +1,157 @@
+"""Spectra of the discrete system, from the solver's own step.
+
+One time step of the solver, taken about rest, is a linear map of its state. `step_matrix` takes it column by column: each
+unit perturbation goes through the actual kernels. An eigenvalue m of the map over dt is the mode exp(lambda t),
+lambda = log(m) / dt: its real part the growth rate [1/s], its imaginary part the angular frequency [rad/s]. At a dt far
+below the stable one, lambda is the spectrum of the semi-discrete operator up to dt^2; at the dt of a run it is the
+stability of that run, time integration and coupling included.
+"""
+import numpy as np
+import taichi as ti
+from scipy.linalg import lu_factor, lu_solve
+from scipy.sparse.linalg import LinearOperator, eigs
+
+from taichi_eye.backend import real
+from taichi_eye.cloud.packing import Cloud
+from taichi_eye.solver.aqueous import Aqueous
+from taichi_eye.solver.cornea import Cornea
+from taichi_eye.solver.coupling import Coupling
+
+PERTURBATION = 1e-7  # of each variable's own scale: small enough to be linear, large enough for 1e-9 of accuracy
+
+
+@ti.data_oriented
+class CoupledSystem:
+    """Cornea and aqueous humour about rest, stepped by the solver's coupling.
+
+    State vector: pressures [n] over rho c, velocities [2 n], and for the wall nodes displacements times c / spacing,
+    velocities and accelerations times spacing / c [2 w each]: all in m/s, so that one perturbation suits all.
+    """
+
+    def __init__(self, cloud: Cloud, *, nodes, thickness: float, wall_density: float, material, iop: float,
+                 density: float, viscosity: float, sound_speed: float, dissipation: float, basis: str = "quadratic",
+                 stencil: int | None = None, iterated: bool = True, law: str = "exponential", rim: str = "clamped",
+                 no_slip: bool = False):
+        planar = cloud.section.planar
+        self.cloud, self.count, self.walls = cloud, cloud.count, cloud.wall_count
+        self.cornea = Cornea(self.walls, law, rim, planar)
+        self.aqueous = Aqueous(self.count, basis, no_slip, planar)
+        # as good as exact: the sweeps go on until nothing changes, and the limit is no failure here
+        self.coupling = Coupling(self.cornea, self.aqueous, iterated, False, 1.0, 1e-14, 60, 1)
+        self.cornea.setup(nodes, thickness, wall_density, material, iop, np.zeros(self.walls))
+        self.aqueous.setup(cloud, density, viscosity, sound_speed, dissipation, stencil)
+        self.aqueous.rest_volume[None] = cloud.section.volume()
+        self.sound_speed, self.spacing = sound_speed, cloud.spacing
+        self.pressure_scale = density * sound_speed
+        self.length_scale = cloud.spacing / sound_speed
+        self.acceleration_scale = sound_speed / cloud.spacing
+        self.enclosed = ti.field(real(), ())
+        self._remember()
+
+    @property
+    def size(self) -> int:
+        """Length of the state vector."""
+        return 3 * self.count + 6 * self.walls
+
+    @ti.kernel
+    def _remember(self):
+        ti.loop_config(serialize=True)
+        for once in range(1):
+            self.coupling.rest_enclosed[None] = self.cornea.enclosed_volume()
+
+    @ti.kernel
+    def _load(self, state: ti.types.ndarray()):
+        n, w = self.count, self.walls
+        ti.loop_config(serialize=True)
+        for once in range(1):
+            for i in range(n):
+                self.aqueous.pressure[i] = state[i] * self.pressure_scale
+                self.aqueous.velocity[i] = ti.Vector([state[n + 2 * i], state[n + 2 * i + 1]])
+            for i in range(w):
+                at = 3 * n + 2 * i
+                self.cornea.place[i] = self.cornea.rest[i] + self.length_scale * ti.Vector([state[at], state[at + 1]])
+                self.cornea.velocity[i] = ti.Vector([state[at + 2 * w], state[at + 2 * w + 1]])
+                self.cornea.acceleration[i] = self.acceleration_scale * ti.Vector([state[at + 4 * w],
+                                                                                   state[at + 4 * w + 1]])
+            for i in range(n):
+                self.aqueous.find_velocity_gradient(i)
+                self.aqueous.potential[i] = (self.aqueous.pressure[i]
+                                             - self.aqueous.viscosity[None] / 3.0 * self.aqueous.divergence[i])
+            self.coupling._settle_pressure()
+
+    @ti.kernel
+    def _store(self, state: ti.types.ndarray()):
+        n, w = self.count, self.walls
+        ti.loop_config(serialize=True)
+        for once in range(1):
+            for i in range(n):
+                state[i] = self.aqueous.pressure[i] / self.pressure_scale
+                for a in ti.static(range(2)):
+                    state[n + 2 * i + a] = self.aqueous.velocity[i][a]
+            for i in range(w):
+                at = 3 * n + 2 * i
+                for a in ti.static(range(2)):
+                    state[at + a] = (self.cornea.place[i][a] - self.cornea.rest[i][a]) / self.length_scale
+                    state[at + 2 * w + a] = self.cornea.velocity[i][a]
+                    state[at + 4 * w + a] = self.cornea.acceleration[i][a] / self.acceleration_scale
+
+    def step(self, state, dt: float):
+        """The state one step of dt [s] after `state`."""
+        self._load(state)
+        self.coupling.reset()
+        self.coupling.advance(np.zeros(1), dt, dt)
+        after = np.empty_like(state)
+        self._store(after)
+        return after
+
+
+def step_matrix(system, dt: float, progress=None):
+    """The matrix of one step of dt [s] about rest, column by column through the actual kernels."""
+    size = system.size
+    matrix = np.empty((size, size))
+    state = np.zeros(size)
+    rest = system.step(state, dt)
+    for column in range(size):
+        state[column] = PERTURBATION
+        matrix[:, column] = (system.step(state, dt) - rest) / PERTURBATION
+        state[column] = 0.0
+        if progress is not None and column % 200 == 0:
+            progress(column / size)
+    return matrix
+
+
+def reachable(matrix):
+    """The map restricted to the variables that a step ever changes; the rest only decays to nothing at once."""
+    keep = np.any(matrix != 0.0, axis=1)
+    return matrix[np.ix_(keep, keep)]
+
+
+def exponents(matrix, dt: float):
+    """All lambda [1/s] of the map over dt; modes that one step wipes out are left out."""
+    multiplier = np.linalg.eigvals(reachable(matrix))
+    multiplier = multiplier[np.abs(multiplier) > 1e-9]
+    return np.log(multiplier) / dt
+
+
+def growth(matrix, dt: float) -> float:
+    """Largest growth rate [1/s] of the map over dt."""
+    return float(exponents(matrix, dt).real.max())
+
+
+def modes_near(matrix, dt: float, frequency: float, count: int = 4):
+    """The `count` lambda [1/s] nearest to i 2 pi frequency (Hz), by shifted inverse iteration (ARPACK)."""
+    kept = reachable(matrix)
+    shift = np.exp(2j * np.pi * frequency * dt)
+    factors = lu_factor(kept - shift * np.eye(len(kept)))
+    inverse = LinearOperator(kept.shape, lambda b: lu_solve(factors, b.astype(complex)), dtype=complex)
+    start = np.random.default_rng(0).standard_normal(len(kept)).astype(complex)
+    values = eigs(LinearOperator(kept.shape, lambda b: kept @ b, dtype=complex), count, sigma=shift, OPinv=inverse, v0=start,
+                  return_eigenvectors=False)
+    return np.log(values) / dt
+
+
+def mode(matrix, dt: float, frequency: float):
+    """Frequency [Hz] and damping rate [1/s] of the mode nearest to a frequency [Hz]."""
+    found = modes_near(matrix, dt, frequency)
+    nearest = found[np.argmin(np.abs(found.imag / (2.0 * np.pi) - frequency))]
+    return float(nearest.imag / (2.0 * np.pi)), float(-nearest.real)
