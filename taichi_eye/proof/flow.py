@@ -40,6 +40,9 @@ class Flow:
         if self.copies:
             self.source.from_numpy(images.source)
             self.sign.from_numpy(images.sign)
+        # closed by its own walls: the solver's mass fix applies
+        self.sealed = self.copies == 0 and len(cloud.triangles) > 0
+        self.aqueous.rest_volume[None] = cloud.section.volume()
         self.density, self.viscosity, self.sound_speed = density, viscosity, sound_speed
 
     @property
@@ -72,15 +75,23 @@ class Flow:
 
     @ti.kernel
     def _start(self):
-        for g in range(self.copies):
-            self._copy_velocity(g)
-        for i in range(self.count):
-            self.aqueous.find_velocity_gradient(i)
-            self.aqueous.potential[i] = (self.aqueous.pressure[i]
-                                         - self.aqueous.viscosity[None] / 3.0 * self.aqueous.divergence[i])
-        for g in range(self.copies):
-            self._copy_velocity_gradient(g)
-            self._copy_pressure(g)
+        ti.loop_config(serialize=True)
+        for once in range(1):
+            for g in range(self.copies):
+                self._copy_velocity(g)
+            for i in range(self.count):
+                self.aqueous.find_velocity_gradient(i)
+                self.aqueous.potential[i] = (self.aqueous.pressure[i]
+                                             - self.aqueous.viscosity[None] / 3.0 * self.aqueous.divergence[i])
+            for g in range(self.copies):
+                self._copy_velocity_gradient(g)
+                self._copy_pressure(g)
+            self._settle()
+
+    @ti.func
+    def _settle(self):
+        if ti.static(self.sealed):
+            self.aqueous.pressure_shift[None] = self.aqueous.missing_pressure(self.aqueous.rest_volume[None])
 
     @ti.func
     def _copy_velocity(self, g):
@@ -127,6 +138,7 @@ class Flow:
             self.aqueous.compress(i, dt, self.still)
         for g in range(self.copies):
             self._copy_pressure(g)
+        self._settle()
 
     @ti.kernel
     def advance(self, steps: int, dt: float, start: float, amplitude: float, frequency: float):
@@ -135,18 +147,6 @@ class Flow:
         for step in range(steps):
             middle = start + (step + 0.5) * dt
             self._step(dt, amplitude * ti.cos(frequency * middle))
-
-    @ti.kernel
-    def rates(self, dt: float):
-        """Momentum once, without boundary values: candidate velocities after dt, and divergence of the present ones."""
-        for i in range(self.count):
-            self.aqueous.find_velocity_gradient(i)
-        for i in range(self.count):
-            self.aqueous.find_pressure_gradient(i)
-        for g in range(self.copies):
-            self._copy_gradient(g)
-        for i in range(self.count):
-            self.aqueous.kick(i, dt, self.still)
 
     @ti.kernel
     def load(self, state: ti.types.ndarray()):
