@@ -17,31 +17,36 @@ from taichi_eye.solver.aqueous import Aqueous
 class Flow:
     """A liquid in a fixed domain; the first `count` nodes are its own, images follow.
 
-    cloud: nodes and their kinds; images: copies beyond the edges; basis, density (kg/m^3), viscosity (Pa s), sound_speed
-    (m/s), dissipation: as the solver's.
+    capacity: most nodes, images included; basis, planar: as the solver's.
     """
 
-    def __init__(self, cloud: Cloud, images: Images | None = None, *, density: float, viscosity: float,
-                 sound_speed: float, dissipation: float, basis: str = "quadratic", stencil: int | None = None):
-        images = images or Images.none()
+    def __init__(self, capacity: int, *, basis: str = "quadratic", planar: bool = False):
         fp = real()
-        self.cloud, self.count, self.copies = cloud, cloud.count, len(images.source)
-        total = self.count + self.copies
+        self.aqueous = Aqueous(capacity, basis, False, planar)
+        self.own, self.copied, self.sealed = (ti.field(ti.i32, ()) for _ in range(3))
+        self.source = ti.field(ti.i32, capacity)
+        self.sign, self.still, self.prescribed = (ti.Vector.field(2, fp, capacity) for _ in range(3))
+
+    def setup(self, cloud: Cloud, images: Images | None = None, *, density: float, viscosity: float, sound_speed: float,
+              dissipation: float, stencil: int | None = None) -> None:
+        """Fill the domain; images: copies beyond its edges; the rest as `Aqueous.setup` (SI units)."""
+        images = images or Images.none()
+        self.cloud, self.count = cloud, cloud.count
+        copies = len(images.source)
+        total = self.count + copies
         whole = Cloud(cloud.section, cloud.spacing, np.vstack([cloud.points, images.place]), 0,
-                      np.concatenate([cloud.kind, np.full(self.copies, FREE, dtype=np.int32)]),
-                      np.vstack([cloud.direction, np.zeros((self.copies, 2))]), cloud.triangles,
+                      np.concatenate([cloud.kind, np.full(copies, FREE, dtype=np.int32)]),
+                      np.vstack([cloud.direction, np.zeros((copies, 2))]), cloud.triangles,
                       np.zeros(total, dtype=np.int32), np.zeros(total), np.zeros(total))
-        self.aqueous = Aqueous(total, basis, False, cloud.section.planar)
-        self.source = ti.field(ti.i32, max(self.copies, 1))
-        self.sign = ti.Vector.field(2, fp, max(self.copies, 1))
-        self.still = ti.Vector.field(2, fp, total)
-        self.prescribed = ti.Vector.field(2, fp, total)
         self.aqueous.setup(whole, density, viscosity, sound_speed, dissipation, stencil)
-        if self.copies:
-            self.source.from_numpy(images.source)
-            self.sign.from_numpy(images.sign)
+        source = np.zeros(self.aqueous.capacity, dtype=np.int32)
+        sign = np.zeros((self.aqueous.capacity, 2))
+        source[:copies], sign[:copies] = images.source, images.sign
+        self.source.from_numpy(source)
+        self.sign.from_numpy(sign)
+        self.own[None], self.copied[None] = self.count, copies
         # closed by its own walls: the solver's mass fix applies
-        self.sealed = self.copies == 0 and len(cloud.triangles) > 0
+        self.sealed[None] = copies == 0 and len(cloud.triangles) > 0
         self.aqueous.rest_volume[None] = cloud.section.volume()
         self.density, self.viscosity, self.sound_speed = density, viscosity, sound_speed
 
@@ -77,66 +82,66 @@ class Flow:
     def _start(self):
         ti.loop_config(serialize=True)
         for once in range(1):
-            for g in range(self.copies):
+            for g in range(self.copied[None]):
                 self._copy_velocity(g)
-            for i in range(self.count):
+            for i in range(self.own[None]):
                 self.aqueous.find_velocity_gradient(i)
                 self.aqueous.potential[i] = (self.aqueous.pressure[i]
                                              - self.aqueous.viscosity[None] / 3.0 * self.aqueous.divergence[i])
-            for g in range(self.copies):
+            for g in range(self.copied[None]):
                 self._copy_velocity_gradient(g)
                 self._copy_pressure(g)
             self._settle()
 
     @ti.func
     def _settle(self):
-        if ti.static(self.sealed):
+        if self.sealed[None] == 1:
             self.aqueous.pressure_shift[None] = self.aqueous.missing_pressure(self.aqueous.rest_volume[None])
 
     @ti.func
     def _copy_velocity(self, g):
-        self.aqueous.velocity[self.count + g] = self.sign[g] * self.aqueous.velocity[self.source[g]]
+        self.aqueous.velocity[self.own[None] + g] = self.sign[g] * self.aqueous.velocity[self.source[g]]
 
     @ti.func
     def _copy_pressure(self, g):
-        self.aqueous.pressure[self.count + g] = self.aqueous.pressure[self.source[g]]
-        self.aqueous.potential[self.count + g] = self.aqueous.potential[self.source[g]]
+        self.aqueous.pressure[self.own[None] + g] = self.aqueous.pressure[self.source[g]]
+        self.aqueous.potential[self.own[None] + g] = self.aqueous.potential[self.source[g]]
 
     @ti.func
     def _copy_gradient(self, g):
-        self.aqueous.pressure_gradient[self.count + g] = self.sign[g] * self.aqueous.pressure_gradient[self.source[g]]
-        self.aqueous.smooth_gradient[self.count + g] = self.sign[g] * self.aqueous.smooth_gradient[self.source[g]]
+        self.aqueous.pressure_gradient[self.own[None] + g] = self.sign[g] * self.aqueous.pressure_gradient[self.source[g]]
+        self.aqueous.smooth_gradient[self.own[None] + g] = self.sign[g] * self.aqueous.smooth_gradient[self.source[g]]
 
     @ti.func
     def _copy_velocity_gradient(self, g):
         both = self.sign[g].outer_product(self.sign[g])
-        self.aqueous.velocity_gradient[self.count + g] = both * self.aqueous.velocity_gradient[self.source[g]]
-        self.aqueous.smooth_velocity_gradient[self.count + g] = (both
+        self.aqueous.velocity_gradient[self.own[None] + g] = both * self.aqueous.velocity_gradient[self.source[g]]
+        self.aqueous.smooth_velocity_gradient[self.own[None] + g] = (both
                                                                  * self.aqueous.smooth_velocity_gradient[self.source[g]])
 
     @ti.func
     def _step(self, dt, force):
-        for i in range(self.count):
+        for i in range(self.own[None]):
             self.aqueous.find_pressure_gradient(i)
-        for g in range(self.copies):
+        for g in range(self.copied[None]):
             self._copy_gradient(g)
-        for i in range(self.count):
+        for i in range(self.own[None]):
             self.aqueous.kick(i, dt, self.still)
-        for i in range(self.count):
+        for i in range(self.own[None]):
             self.aqueous.velocity[i] = self.aqueous.candidate[i]
             if self.aqueous.kind[i] == WALL:
                 self.aqueous.velocity[i] = self.prescribed[i]
             if force != 0.0 and (self.aqueous.kind[i] == FREE or self.aqueous.slide[i][1] == 1.0):
                 self.aqueous.velocity[i][1] += dt * force / self.aqueous.density(i)
-        for g in range(self.copies):
+        for g in range(self.copied[None]):
             self._copy_velocity(g)
-        for i in range(self.count):
+        for i in range(self.own[None]):
             self.aqueous.find_velocity_gradient(i)
-        for g in range(self.copies):
+        for g in range(self.copied[None]):
             self._copy_velocity_gradient(g)
-        for i in range(self.count):
+        for i in range(self.own[None]):
             self.aqueous.compress(i, dt, self.still)
-        for g in range(self.copies):
+        for g in range(self.copied[None]):
             self._copy_pressure(g)
         self._settle()
 
@@ -151,17 +156,17 @@ class Flow:
     @ti.kernel
     def load(self, state: ti.types.ndarray()):
         """Take pressures and velocities from a state vector."""
-        for i in range(self.count):
+        for i in range(self.own[None]):
             self.aqueous.pressure[i] = state[i]
-            self.aqueous.velocity[i] = ti.Vector([state[self.count + 2 * i], state[self.count + 2 * i + 1]])
+            self.aqueous.velocity[i] = ti.Vector([state[self.own[None] + 2 * i], state[self.own[None] + 2 * i + 1]])
 
     @ti.kernel
     def store(self, state: ti.types.ndarray()):
         """Write pressures and velocities into a state vector."""
-        for i in range(self.count):
+        for i in range(self.own[None]):
             state[i] = self.aqueous.pressure[i]
-            state[self.count + 2 * i] = self.aqueous.velocity[i][0]
-            state[self.count + 2 * i + 1] = self.aqueous.velocity[i][1]
+            state[self.own[None] + 2 * i] = self.aqueous.velocity[i][0]
+            state[self.own[None] + 2 * i + 1] = self.aqueous.velocity[i][1]
 
     def step(self, state, dt: float):
         """The state one step of dt [s] after `state`."""

@@ -27,24 +27,27 @@ class CoupledSystem:
     velocities and accelerations times spacing / c [2 w each]: all in m/s, so that one perturbation suits all.
     """
 
-    def __init__(self, cloud: Cloud, *, nodes, thickness: float, wall_density: float, material, iop: float,
-                 density: float, viscosity: float, sound_speed: float, dissipation: float, basis: str = "quadratic",
-                 stencil: int | None = None, iterated: bool = True, law: str = "exponential", rim: str = "clamped",
-                 no_slip: bool = False):
-        planar = cloud.section.planar
+    def __init__(self, capacity: int, walls_capacity: int, *, basis: str = "quadratic", planar: bool = False,
+                 iterated: bool = True, law: str = "exponential", rim: str = "clamped", no_slip: bool = False,
+                 sweeps_max: int = 60):
+        self.cornea = Cornea(walls_capacity, law, rim, planar)
+        self.aqueous = Aqueous(capacity, basis, no_slip, planar)
+        # as good as exact: the sweeps go on until nothing changes, and their limit is no failure here
+        self.coupling = Coupling(self.cornea, self.aqueous, iterated, False, 1.0, 1e-14, sweeps_max, 1)
+        self.pressure_scale, self.length_scale, self.acceleration_scale = (ti.field(real(), ()) for _ in range(3))
+
+    def setup(self, cloud: Cloud, *, thickness: float, wall_density: float, material, iop: float, density: float,
+              viscosity: float, sound_speed: float, dissipation: float, stencil: int | None = None) -> None:
+        """Put a cloud and its cornea to rest (SI units; as `Cornea.setup` and `Aqueous.setup`)."""
         self.cloud, self.count, self.walls = cloud, cloud.count, cloud.wall_count
-        self.cornea = Cornea(self.walls, law, rim, planar)
-        self.aqueous = Aqueous(self.count, basis, no_slip, planar)
-        # as good as exact: the sweeps go on until nothing changes, and the limit is no failure here
-        self.coupling = Coupling(self.cornea, self.aqueous, iterated, False, 1.0, 1e-14, 60, 1)
+        nodes = cloud.section.cornea_nodes(cloud.wall_count - 1)
         self.cornea.setup(nodes, thickness, wall_density, material, iop, np.zeros(self.walls))
         self.aqueous.setup(cloud, density, viscosity, sound_speed, dissipation, stencil)
         self.aqueous.rest_volume[None] = cloud.section.volume()
         self.sound_speed, self.spacing = sound_speed, cloud.spacing
-        self.pressure_scale = density * sound_speed
-        self.length_scale = cloud.spacing / sound_speed
-        self.acceleration_scale = sound_speed / cloud.spacing
-        self.enclosed = ti.field(real(), ())
+        self.pressure_scale[None] = density * sound_speed
+        self.length_scale[None] = cloud.spacing / sound_speed
+        self.acceleration_scale[None] = sound_speed / cloud.spacing
         self._remember()
 
     @property
@@ -60,17 +63,17 @@ class CoupledSystem:
 
     @ti.kernel
     def _load(self, state: ti.types.ndarray()):
-        n, w = self.count, self.walls
+        n, w = self.aqueous.count[None], self.aqueous.wall_count[None]
         ti.loop_config(serialize=True)
         for once in range(1):
             for i in range(n):
-                self.aqueous.pressure[i] = state[i] * self.pressure_scale
+                self.aqueous.pressure[i] = state[i] * self.pressure_scale[None]
                 self.aqueous.velocity[i] = ti.Vector([state[n + 2 * i], state[n + 2 * i + 1]])
             for i in range(w):
                 at = 3 * n + 2 * i
-                self.cornea.place[i] = self.cornea.rest[i] + self.length_scale * ti.Vector([state[at], state[at + 1]])
+                self.cornea.place[i] = self.cornea.rest[i] + self.length_scale[None] * ti.Vector([state[at], state[at + 1]])
                 self.cornea.velocity[i] = ti.Vector([state[at + 2 * w], state[at + 2 * w + 1]])
-                self.cornea.acceleration[i] = self.acceleration_scale * ti.Vector([state[at + 4 * w],
+                self.cornea.acceleration[i] = self.acceleration_scale[None] * ti.Vector([state[at + 4 * w],
                                                                                    state[at + 4 * w + 1]])
             for i in range(n):
                 self.aqueous.find_velocity_gradient(i)
@@ -80,19 +83,19 @@ class CoupledSystem:
 
     @ti.kernel
     def _store(self, state: ti.types.ndarray()):
-        n, w = self.count, self.walls
+        n, w = self.aqueous.count[None], self.aqueous.wall_count[None]
         ti.loop_config(serialize=True)
         for once in range(1):
             for i in range(n):
-                state[i] = self.aqueous.pressure[i] / self.pressure_scale
+                state[i] = self.aqueous.pressure[i] / self.pressure_scale[None]
                 for a in ti.static(range(2)):
                     state[n + 2 * i + a] = self.aqueous.velocity[i][a]
             for i in range(w):
                 at = 3 * n + 2 * i
                 for a in ti.static(range(2)):
-                    state[at + a] = (self.cornea.place[i][a] - self.cornea.rest[i][a]) / self.length_scale
+                    state[at + a] = (self.cornea.place[i][a] - self.cornea.rest[i][a]) / self.length_scale[None]
                     state[at + 2 * w + a] = self.cornea.velocity[i][a]
-                    state[at + 4 * w + a] = self.cornea.acceleration[i][a] / self.acceleration_scale
+                    state[at + 4 * w + a] = self.cornea.acceleration[i][a] / self.acceleration_scale[None]
 
     def step(self, state, dt: float):
         """The state one step of dt [s] after `state`."""
