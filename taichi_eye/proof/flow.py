@@ -22,7 +22,7 @@ class Flow:
 
     def __init__(self, capacity: int, *, basis: str = "quadratic", planar: bool = False):
         fp = real()
-        self.aqueous = Aqueous(capacity, basis, False, planar)
+        self.aqueous = Aqueous(capacity, basis, planar)
         self.own, self.copied, self.sealed = (ti.field(ti.i32, ()) for _ in range(3))
         self.source = ti.field(ti.i32, capacity)
         self.sign, self.still, self.prescribed = (ti.Vector.field(2, fp, capacity) for _ in range(3))
@@ -38,7 +38,7 @@ class Flow:
                       np.concatenate([cloud.kind, np.full(copies, FREE, dtype=np.int32)]),
                       np.vstack([cloud.direction, np.zeros((copies, 2))]), cloud.triangles,
                       np.zeros(total, dtype=np.int32), np.zeros(total), np.zeros(total))
-        self.aqueous.setup(whole, density, viscosity, sound_speed, dissipation, stencil)
+        self.aqueous.setup(whole, density, viscosity, sound_speed, dissipation, stencil=stencil)
         source = np.zeros(self.aqueous.capacity, dtype=np.int32)
         sign = np.zeros((self.aqueous.capacity, 2))
         source[:copies], sign[:copies] = images.source, images.sign
@@ -47,7 +47,6 @@ class Flow:
         self.own[None], self.copied[None] = self.count, copies
         # closed by its own walls: the solver's mass fix applies
         self.sealed[None] = copies == 0 and len(cloud.triangles) > 0
-        self.aqueous.rest_volume[None] = cloud.section.volume()
         self.density, self.viscosity, self.sound_speed = density, viscosity, sound_speed
 
     @property

@@ -28,22 +28,21 @@ class CoupledSystem:
     """
 
     def __init__(self, capacity: int, walls_capacity: int, *, basis: str = "quadratic", planar: bool = False,
-                 iterated: bool = True, law: str = "exponential", rim: str = "clamped", no_slip: bool = False,
-                 sweeps_max: int = 60):
+                 law: str = "exponential", rim: str = "clamped"):
         self.cornea = Cornea(walls_capacity, law, rim, planar)
-        self.aqueous = Aqueous(capacity, basis, no_slip, planar)
-        # as good as exact: the sweeps go on until nothing changes, and their limit is no failure here
-        self.coupling = Coupling(self.cornea, self.aqueous, iterated, False, 1.0, 1e-14, sweeps_max, 1)
+        self.aqueous = Aqueous(capacity, basis, planar)
+        self.coupling = Coupling(self.cornea, self.aqueous)
         self.pressure_scale, self.length_scale, self.acceleration_scale = (ti.field(real(), ()) for _ in range(3))
 
     def setup(self, cloud: Cloud, *, thickness: float, wall_density: float, material, iop: float, density: float,
-              viscosity: float, sound_speed: float, dissipation: float, stencil: int | None = None) -> None:
-        """Put a cloud and its cornea to rest (SI units; as `Cornea.setup` and `Aqueous.setup`)."""
+              viscosity: float, sound_speed: float, dissipation: float, stencil: int | None = None,
+              iterated: bool = True, sweeps_max: int = 60) -> None:
+        """Put a cloud and its cornea to rest (SI units; as `Cornea.setup`, `Aqueous.setup` and `Coupling.setup`)."""
+        self.iterated, self.sweeps_max = iterated, sweeps_max
         self.cloud, self.count, self.walls = cloud, cloud.count, cloud.wall_count
         nodes = cloud.section.cornea_nodes(cloud.wall_count - 1)
         self.cornea.setup(nodes, thickness, wall_density, material, iop, np.zeros(self.walls))
-        self.aqueous.setup(cloud, density, viscosity, sound_speed, dissipation, stencil)
-        self.aqueous.rest_volume[None] = cloud.section.volume()
+        self.aqueous.setup(cloud, density, viscosity, sound_speed, dissipation, stencil=stencil)
         self.sound_speed, self.spacing = sound_speed, cloud.spacing
         self.pressure_scale[None] = density * sound_speed
         self.length_scale[None] = cloud.spacing / sound_speed
@@ -72,6 +71,7 @@ class CoupledSystem:
             for i in range(w):
                 at = 3 * n + 2 * i
                 self.cornea.place[i] = self.cornea.rest[i] + self.length_scale[None] * ti.Vector([state[at], state[at + 1]])
+                self.cornea.lost[i] = ti.Vector([0.0, 0.0])
                 self.cornea.velocity[i] = ti.Vector([state[at + 2 * w], state[at + 2 * w + 1]])
                 self.cornea.acceleration[i] = self.acceleration_scale[None] * ti.Vector([state[at + 4 * w],
                                                                                    state[at + 4 * w + 1]])
@@ -100,7 +100,8 @@ class CoupledSystem:
     def step(self, state, dt: float):
         """The state one step of dt [s] after `state`."""
         self._load(state)
-        self.coupling.reset()
+        # as good as exact: the sweeps go on until nothing changes, and their limit is no failure here
+        self.coupling.setup(self.iterated, False, 1.0, 1e-14, self.sweeps_max)
         self.coupling.advance(np.zeros(1), dt, dt)
         after = np.empty_like(state)
         self._store(after)

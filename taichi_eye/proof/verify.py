@@ -9,7 +9,7 @@ from taichi_eye.proof.page import draw, picture, table, write_page
 from taichi_eye.proof.rows import Row
 from taichi_eye.report.folder import create_run_folder, write_text
 
-PROBLEMS = {
+PARTS = {
     "inflation": membranes.inflation,
     "squeeze": squeeze.squeeze,
     "acoustics": waves.acoustics,
@@ -26,7 +26,7 @@ PROBLEMS = {
 HEAD = ("problem", "quantity", "exact", "value", "error", "limit", "order", "least", "", "resolution")
 
 
-def verify(only=(), out: str | None = None, json_file: str | None = None, say=print) -> bool:
+def report(only=(), out: str | None = None, json_file: str | None = None, say=lambda text: print(text, flush=True)) -> bool:
     """Run the problems named (all without names), print the table, write the page; whether every row passed.
 
     out: folder of the page (default: a new one under renders/); json_file: the rows as a list of objects.
@@ -35,14 +35,14 @@ def verify(only=(), out: str | None = None, json_file: str | None = None, say=pr
     rows: list[Row] = []
     parts = []
     say(_line(HEAD))
-    for name in only or PROBLEMS:
+    for name in only or PARTS:
         started = time.perf_counter()
-        more, figures = PROBLEMS[name]()
+        more, figures = PARTS[name]()
         rows += more
         for row in more:
             say(_line(_cells(row)))
         say(f"  {name}: {time.perf_counter() - started:.0f} s")
-        parts.append(f"<h2>{name}</h2><pre>{PROBLEMS[name].__doc__}</pre>")
+        parts.append(f"<h2>{name}</h2><pre>{PARTS[name].__doc__}</pre>")
         parts.append(table(HEAD, [_cells(row) for row in more], [i for i, row in enumerate(more) if not row.passed]))
         parts += [picture(draw(figure)) for figure in figures]
     failed = sum(not row.passed for row in rows)
