@@ -16,10 +16,10 @@ HENCKY = {0.3: (0.653443, 0.431101), 0.49: (0.598243, 0.459382)}
 class Membrane:
     """The solver's cornea without a liquid: forces of its tissue and its area vectors at a given place."""
 
-    def __init__(self, nodes, thickness: float, material):
+    def __init__(self, nodes, thickness: float, material, density: float = 1000.0):
         self.count = len(nodes)
         self.cornea = Cornea(self.count)
-        self.cornea.setup(nodes, thickness, 1000.0, material, 0.0, np.zeros(self.count))
+        self.cornea.setup(nodes, thickness, density, material, 0.0, np.zeros(self.count))
         self.force = ti.Vector.field(2, self.cornea.place.dtype, self.count)
         self.area = ti.Vector.field(2, self.cornea.place.dtype, self.count)
 
@@ -106,6 +106,22 @@ def hencky(quick: bool = False):
             lines.append((f"{name}, nu {nu:g}", grids, errors))
     return rows, [{"title": "Hencky's membrane", "x": "elements", "y": "relative error", "log": True, "lines": lines,
                    "slope": -2}]
+
+
+def dry_frequencies(nodes, thickness: float, density: float, material, count: int = 3):
+    """Lowest transverse frequencies [Hz] of a flat membrane without a liquid, from its linearised tissue forces and masses."""
+    membrane = Membrane(nodes, thickness, material, density)
+    free = len(nodes) - 1
+    stiffness = np.empty((free, free))
+    step = 1e-7 * nodes[-1, 0]
+    for node in range(free):
+        moved, back = nodes.copy(), nodes.copy()
+        moved[node, 1] += step
+        back[node, 1] -= step
+        change = membrane.forces(back)[0] - membrane.forces(moved)[0]
+        stiffness[:, node] = change[:free, 1] / (2.0 * step)
+    values = np.linalg.eigvals(stiffness / membrane.cornea.mass.to_numpy()[:free, None])
+    return np.sqrt(np.sort(values.real)[:count]) / (2.0 * np.pi)
 
 
 def _hencky_place(nodes, thickness, material, q, depth):
