@@ -107,6 +107,40 @@ class CoupledSystem:
         self._store(after)
         return after
 
+    def run(self, state, dt: float, steps: int):
+        """The state `steps` steps of dt [s] after `state`, as a run takes them."""
+        self._load(state)
+        self.coupling.setup(self.iterated, False, 1.0, 1e-10, self.sweeps_max)
+        for start in range(0, steps, 500):
+            self.coupling.status[None] = 0
+            self.coupling.advance(np.zeros(min(500, steps - start)), dt, dt)
+        after = np.empty_like(state)
+        self._store(after)
+        return after
+
+    def residual_after(self, dt: float, sweeps: int, tolerance: float = 0.0) -> tuple[int, float]:
+        """Sweeps taken and residual left by the coupling iteration of one step from a kick of the wall."""
+        state = np.zeros(self.size)
+        kick = np.sin(np.linspace(0.0, 9.0, self.walls)) + 1.0
+        state[3 * self.count + 2 * self.walls + 1:3 * self.count + 4 * self.walls:2] = 1e-3 * kick
+        self._load(state)
+        self.coupling.setup(True, False, 1.0, tolerance, sweeps)
+        self.coupling.advance(np.zeros(1), dt, dt)
+        taken, residual, _ = self.coupling.counts()
+        return taken, residual
+
+    def sweeps_to(self, dt: float, tolerance: float) -> int:
+        """Sweeps that the plain iteration needs for `tolerance`; 100 where it does not get there."""
+        return self.residual_after(dt, 100, tolerance)[0]
+
+    def contraction(self, dt: float) -> float:
+        """Factor by which a sweep of the plain iteration shrinks the residual, from the last sweeps above rounding."""
+        residual = np.array([self.residual_after(dt, sweeps)[1] for sweeps in range(1, 9)])
+        above = residual > 1e-12 * residual[0]
+        last = int(np.nonzero(above)[0][-1])
+        first = max(0, last - 3)
+        return float((residual[last] / residual[first]) ** (1.0 / max(last - first, 1)))
+
 
 def step_matrix(system, dt: float, progress=None):
     """The matrix of one step of dt [s] about rest, column by column through the actual kernels."""
