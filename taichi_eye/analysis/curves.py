@@ -101,20 +101,25 @@ def curves_from_edges(edges: Edges, time_ms: np.ndarray, instrument: Instrument)
     rest = time <= time[0] + REST_MS
     if time[0] > 3.0:
         notes.append(f"the first frame is at {time[0]:.2f} ms: displacements are from there, not from rest")
-    base = np.nanmean(height[rest], axis=0)
+    base = _mean_rest(height, rest)
+    x = grid()
     centre = _axis(x_px, base - height)
     if centre is None:
         centre = _pole(x_px, base)
         notes.append("the cornea does not move; the axis is taken at the pole")
-    slope, top = _tangent(x_px, base, centre)
+        slope, top, turned = _turned_about(x_px, height, base, centre, x)
+    else:
+        # displacements seen askew are a little lopsided: once more in the frame of the eye
+        for _ in range(2):
+            slope, top, turned = _turned_about(x_px, height, base, centre, x)
+            centre += (_axis(x, _mean_rest(turned, rest) - turned) or 0.0) * cos(atan(slope))
+        slope, top, turned = _turned_about(x_px, height, base, centre, x)
     turn = atan(slope)
-    x = grid()
-    turned = np.stack([_turned(x_px - centre, one - top, turn, x) for one in height])
     at_px = edges.posterior_column * instrument.pixel_x_mm
     apparent = -edges.posterior[good] * instrument.pixel_y_mm - top
     at = (at_px - centre) * cos(turn) + apparent * sin(turn)
     lifted = apparent * cos(turn) - (at_px - centre) * sin(turn)
-    places = np.median(at, axis=0) if np.isfinite(at).all() else np.nanmedian(at, axis=0)
+    places = _row_mean(at[rest].T)
     inside = np.isfinite(places) & (np.abs(places) < X_REACH_MM)
     thick, profile = None, None
     if inside.any():
@@ -122,9 +127,8 @@ def curves_from_edges(edges: Edges, time_ms: np.ndarray, instrument: Instrument)
         lifted = np.stack([_at_places(one_at[inside], one[inside], places[inside]) for one_at, one in zip(at, lifted)])
         local = optics.thickness(x, anterior, places[inside], lifted, instrument.angle_deg, instrument.refractive_index)
         central = np.abs(places[inside]) <= CENTRAL_MM
-        with np.errstate(invalid="ignore"):
-            thick = _row_mean(local[:, central])
-            profile = np.interp(x, places[inside], _row_mean(local[rest].T), left=np.nan, right=np.nan)
+        thick = _row_mean(local[:, central])
+        profile = np.interp(x, places[inside], _row_mean(local[rest].T), left=np.nan, right=np.nan)
     return Curves(time, x, turned, thick, profile, centre / instrument.pixel_x_mm, -top / instrument.pixel_y_mm,
                   degrees(turn), tuple(notes))
 
@@ -140,6 +144,17 @@ def smooth(height: np.ndarray) -> np.ndarray:
             part = np.interp(np.arange(good[0], good[-1] + 1), good, one[good])
             out[k, span] = savgol_filter(part, length, 3, mode="interp")
     return out
+
+
+def _turned_about(x: np.ndarray, height: np.ndarray, base: np.ndarray, centre: float,
+                  onto: np.ndarray) -> tuple[float, float, np.ndarray]:
+    """Slope and height of the resting surface at `centre`, and all curves turned upright about that point."""
+    slope, top = _tangent(x, base, centre)
+    return slope, top, np.stack([_turned(x - centre, one - top, atan(slope), onto) for one in height])
+
+
+def _mean_rest(height: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    return _row_mean(height[rest].T)
 
 
 def _row_mean(values: np.ndarray) -> np.ndarray:
@@ -179,7 +194,7 @@ def _axis(x: np.ndarray, displacement: np.ndarray) -> float | None:
     """Where the displacement of the deepest frames is most symmetric; None where nothing moved."""
     depth = np.nanmax(savgol_filter(np.nan_to_num(displacement), 31, 2, axis=1), axis=1)
     deepest = np.argsort(depth)[-7:]
-    mean = np.nanmean(displacement[deepest], axis=0)
+    mean = _row_mean(displacement[deepest].T)
     good = np.isfinite(mean)
     mean = savgol_filter(np.interp(x, x[good], mean[good]), 31, 2)
     mean[:np.argmax(good)] = np.nan

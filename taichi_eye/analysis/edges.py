@@ -42,6 +42,7 @@ POSTERIOR_FROM_PX = 6.0
 LINE_AT_PX, LINE_SIGMA_PX = 4.5, 2.2
 POSTERIOR_BAND_PX = 9.0, 34.0
 POSTERIOR_STRAY_PX = 3.0
+POSTERIOR_OUTLIER_PX = 2.0
 
 
 @dataclass(frozen=True)
@@ -220,4 +221,7 @@ def _fall(offset: np.ndarray, straight: np.ndarray) -> np.ndarray:
     inside = np.isfinite(below) & np.isfinite(above)
     bend = np.where(inside, below - 2.0 * here + above, np.inf)
     shift = np.where(inside & (bend > 0), 0.5 * (np.where(inside, below, 0.0) - np.where(inside, above, 0.0)) / bend, 0.0)
-    return np.where(inside & (misfit[1:-1].min(axis=0) == here), candidates[best] + 0.25 * np.clip(shift, -1, 1), np.nan)
+    edge = candidates[best] + 0.25 * np.clip(shift, -1, 1)
+    # the iris close behind the cornea's border, or a logo, is not a posterior edge
+    astray = np.abs(edge - median_filter(edge, size=(1, 15), mode="mirror")) > POSTERIOR_OUTLIER_PX
+    return np.where(inside & ~astray, edge, np.nan)

@@ -99,7 +99,7 @@ def _read_run(path: Path, given: dict) -> Film:
         traces = read_traces(path / "traces.csv")
         puff = traces["time_ms"], traces["puff_apex_kpa"] * 1e3 / MMHG
     time = np.arange(len(stack)) * instrument.frame_interval_ms
-    return Film(stack, time, "counted from the scene's frame interval", instrument, path.name, truth, puff,
+    return Film(stack, time, "the scene's frame interval", instrument, path.name, truth, puff,
                 scene.eye.iop_mmhg)
 
 

@@ -48,7 +48,6 @@ def _read(image: np.ndarray) -> float:
     shapes, _ = label(level > 0.5 * top, structure=np.ones((3, 3)))
     boxes = [(b[0].start, b[0].stop, b[1].start, b[1].stop) for b in find_objects(shapes)]
     tall = [b for b in boxes if 6 <= b[1] - b[0] <= image.shape[0] and b[3] - b[2] <= 1.1 * (b[1] - b[0])]
-    best = np.nan
     for anchor in tall:
         line = [b for b in tall if abs(b[0] - anchor[0]) <= 2 and abs(b[1] - anchor[1]) <= 2]
         size = anchor[1] - anchor[0]
@@ -64,9 +63,9 @@ def _read(image: np.ndarray) -> float:
                 break
             text += ("." if between else "") + digit
             last = box
-        if "." in text and len(text) >= 3:
+        if text.count(".") == 1 and len(text) >= 3:
             return float(text)
-    return best
+    return np.nan
 
 
 def _digit(crop: np.ndarray, size: int) -> tuple[str, float]:
