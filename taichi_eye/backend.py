@@ -13,6 +13,7 @@ ARCHES = ("cpu", "cuda", "vulkan", "opengl", "metal")
 PRECISIONS = ("f64", "f32")
 
 _active: dict = {}
+_generation = 0
 
 
 class BackendError(Exception):
@@ -26,6 +27,7 @@ def init(arch: str = "cpu", precision: str = "f64", threads: int | None = None, 
     Raises BackendError where the backend is not there (Taichi itself would fall back to the CPU in silence).
     """
     wanted = {"arch": arch, "precision": precision, "threads": threads, "debug": debug}
+    global _generation
     if _active == wanted:
         return
     if arch not in ARCHES or precision not in PRECISIONS:
@@ -42,6 +44,7 @@ def init(arch: str = "cpu", precision: str = "f64", threads: int | None = None, 
     if (arch == "cpu") != (got in (ti.x64, ti.arm64)) or (arch != "cpu" and got != getattr(ti, arch)):
         raise BackendError(f"--arch {arch} is not available on this machine (Taichi offers {got.name})")
     _active.update(wanted)
+    _generation += 1
 
 
 def real():
@@ -49,6 +52,13 @@ def real():
     if not _active:
         init()
     return ti.f64 if _active["precision"] == "f64" else ti.f32
+
+
+def generation() -> int:
+    """How often Taichi was started afresh: fields of an earlier generation are lost."""
+    if not _active:
+        init()
+    return _generation
 
 
 def on_cpu() -> bool:

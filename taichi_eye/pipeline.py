@@ -19,7 +19,6 @@ from taichi_eye.film import FilmView, FilmWriter, FrameState, write_gif
 from taichi_eye.report.compare import Measured, differences, read_measured
 from taichi_eye.report.folder import create_run_folder, write_text
 from taichi_eye.report.history import summarise
-from taichi_eye.report.paraview import ParaviewWriter
 from taichi_eye.report.plots import plot_apex, plot_sheet, sheet_times
 from taichi_eye.report.traces import write_traces, write_wall
 from taichi_eye.scene import Scene, dump_scene
@@ -84,6 +83,8 @@ class _Recorder:
             bar.set_description_str("air puff: ")
             stop: BaseException | None = None
             if output.node_fields:
+                # meshio is slow to load, and few runs need it
+                from taichi_eye.report.paraview import ParaviewWriter
                 self.paraview = ParaviewWriter(self.folder / "fields")
             with FilmWriter(self.folder / "film.mp4", output.film_fps,
                             self.folder / "frames" if output.png_frames else None) as film:

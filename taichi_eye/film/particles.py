@@ -260,11 +260,10 @@ def curve_cover(curves: ti.template(), k, which, row, last, half_width):
 
 
 def colour_limits(scene) -> tuple[float, float]:
-    """Ends of the colour scale: pressure [Pa] or speed [m/s]; see the head of this module."""
+    """Ends of the colour scale: pressure less the IOP [Pa] or speed [m/s]; see the head of this module."""
     if scene.camera.colour_by == "speed":
         return 0.0, 0.03 * peak_load_kpa(scene)
-    low = scene.eye.iop_mmhg * MMHG
-    return low, low + 0.25 * peak_load_kpa(scene) * KPA
+    return 0.0, 0.25 * peak_load_kpa(scene) * KPA
 
 
 def colour_table(scene) -> np.ndarray:
@@ -349,10 +348,11 @@ def draw_colour_bar(image: Image.Image, draw: ImageDraw.ImageDraw, scene, at: La
                     limits: tuple[float, float], label) -> None:
     """The colour scale under the section, with its limits and unit."""
     unit = at.unit
+    iop = scene.eye.iop_mmhg * MMHG
     if scene.camera.colour_by == "speed":
         title, scaled = "fluid speed, m/s", limits
     else:
-        title, scaled = "fluid pressure over atmosphere, kPa", (limits[0] * 1e-3, limits[1] * 1e-3)
+        title, scaled = "fluid pressure over atmosphere, kPa", tuple((iop + end) / KPA for end in limits)
     width, height = round(300 * unit), max(3, round(9 * unit))
     left, top = at.axis - width // 2 + round(100 * unit), at.height - round(35 * unit)
     colours = colour_table(scene)[np.linspace(0, 255, width).round().astype(int)]

@@ -18,7 +18,7 @@ class FrameState:
         wall_count: wall nodes in use, at least 3.
         nodes: fluid nodes (r, z) [m], ti.Vector.field(2).
         node_count: fluid nodes in use.
-        pressure: gauge pressure on the fluid nodes [Pa], scalar ti.field.
+        pressure: pressure on the fluid nodes less the IOP [Pa], scalar ti.field.
         velocity: velocity (r, z) of the fluid [m/s], ti.Vector.field(2).
         trace_time_ms: times so far [ms], shape [samples], ascending.
         trace_apex_mm: apex displacement at these times [mm], positive inwards.

@@ -51,7 +51,6 @@ class NeighbourLists:
 
     def search(self, points, count: int, radius: float) -> None:
         """Fill the lists from `points` (vector field, m, r >= 0) with everything within `radius` [m]."""
-        self.count[None] = count
         place = points.to_numpy()[:count]
         low = place.min(0)
         extent = place.max(0) - low
@@ -60,11 +59,12 @@ class NeighbourLists:
         while np.prod(np.floor(extent / size) + 1) > self.capacity:
             size *= 1.5
         columns, rows = (np.floor(extent / size) + 1).astype(int)
-        self._bin(points, low[0], low[1], size, columns, rows)
+        self._bin(points, count, low[0], low[1], size, columns, rows)
         self._collect(points, radius, columns, rows)
 
     @ti.kernel
-    def _bin(self, points: ti.template(), r0: float, z0: float, size: float, columns: int, rows: int):
+    def _bin(self, points: ti.template(), count: int, r0: float, z0: float, size: float, columns: int, rows: int):
+        self.count[None] = count
         for c in range(columns * rows + 1):
             self.cell_start[c] = 0
         for i in range(self.count[None]):

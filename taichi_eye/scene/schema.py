@@ -136,7 +136,7 @@ class Numerics:
 class Camera:
     """The film: view, image geometry and frame times"""
 
-    view: str = key("both", "slit image, node cloud, or side by side", choices=("scheimpflug", "particles", "both"))
+    view: str = key("both", "slit image, node cloud, or the one above the other", choices=("scheimpflug", "particles", "both"))
     colour_by: str = key("pressure", "colour of the nodes", choices=("pressure", "speed"))
     width_px: int = key(576, "width of the slit image, even", unit="px", at_least=64, at_most=4096)
     height_px: int = key(200, "height of the slit image, even", unit="px", at_least=64, at_most=4096)

@@ -44,15 +44,15 @@ class Aqueous:
     place [m], velocity [m/s], pressure (excess over the IOP) [Pa], volume of a node's ring [m^3].
     """
 
-    def __init__(self, capacity: int, basis: str, no_slip: bool):
+    def __init__(self, capacity: int, basis: str):
         fp = real()
-        self.capacity, self.basis, self.no_slip = capacity, basis, no_slip
+        self.capacity, self.basis, self.nodes = capacity, basis, 0
         self.neighbours = NeighbourLists(capacity, WIDTH[basis])
         self.operators = MfpmOperators(self.neighbours, basis)
         # the dissipation stays on the quadratic basis, whichever basis the equations take
         self.smoother = self.operators if basis == "quadratic" else MfpmOperators(self.neighbours, "quadratic")
         self.count = self.neighbours.count
-        self.wall_count = ti.field(ti.i32, ())
+        self.wall_count, self.no_slip = ti.field(ti.i32, ()), ti.field(ti.i32, ())
         vector = lambda: ti.Vector.field(2, fp, capacity)
         scalar = lambda: ti.field(fp, capacity)
         self.rest, self.place, self.velocity, self.candidate, self.slide = (vector() for _ in range(5))
@@ -72,37 +72,58 @@ class Aqueous:
         self.dissipation_length = ti.field(fp, ())  # alpha c h [m^2/s]
         self.rest_volume, self.pressure_shift = ti.field(fp, ()), ti.field(fp, ())
 
-    def setup(self, cloud: Cloud, density: float, viscosity: float, sound_speed: float, dissipation: float) -> None:
+    def setup(self, cloud: Cloud, density: float, viscosity: float, sound_speed: float, dissipation: float,
+              no_slip: bool = False) -> None:
         """Place the nodes at rest, choose their stencils and compute all weights (SI units)."""
-        count = cloud.count
-        corner = np.zeros((self.capacity, CORNERS), dtype=np.int32)
-        corners = np.zeros(self.capacity, dtype=np.int32)
+        self.nodes = count = cloud.count
+        corner = np.zeros((count, CORNERS), dtype=np.int32)
+        corners = np.zeros(count, dtype=np.int32)
         for t, nodes in enumerate(cloud.triangles):
             for node in nodes:
                 corner[node, corners[node]] = t
                 corners[node] += 1
-        self.wall_count[None], self.triangle_count[None] = cloud.wall_count, len(cloud.triangles)
-        for field, values in ((self.rest, cloud.points), (self.place, cloud.points), (self.kind, cloud.kind),
-                              (self.slide, cloud.direction), (self.wall_index, cloud.wall_index),
-                              (self.wall_fraction, cloud.wall_fraction),
-                              (self.height_fraction, cloud.height_fraction), (self.triangle, cloud.triangles),
-                              (self.corner, corner), (self.corner_count, corners)):
-            whole = np.zeros(field.shape + ((field.n,) if hasattr(field, "n") else ()), dtype=values.dtype)
-            whole[:len(values)] = values
-            field.from_numpy(whole)
-        for field in (self.velocity, self.candidate, self.pressure, self.potential, self.divergence, self.laplacian,
-                      self.velocity_gradient, self.smooth_velocity_gradient, self.pressure_gradient,
-                      self.smooth_gradient, self.viscous_loss, self.numerical_loss, self.pressure_dissipation):
-            field.fill(0.0)
-        self.density0[None], self.viscosity[None], self.sound_speed[None] = density, viscosity, sound_speed
-        self.dissipation_length[None] = dissipation * sound_speed * cloud.spacing
-        self.pressure_shift[None] = 0.0
+        self._load(cloud.points, cloud.kind, cloud.direction, cloud.wall_index, cloud.wall_fraction,
+                   cloud.height_fraction, corner, corners)
+        self._load_chamber(cloud.triangles, cloud.wall_count, cloud.section.volume(), density, viscosity, sound_speed,
+                           dissipation * sound_speed * cloud.spacing, no_slip)
         self.neighbours.search(self.place, count, SEARCH_RADIUS[self.basis] * cloud.spacing)
         self.operators.choose_stencils(self.place, STENCIL[self.basis], CONDITION_LIMIT[self.basis])
         if self.smoother is not self.operators:
             self.smoother.choose_stencils(self.place, STENCIL["quadratic"], CONDITION_LIMIT["quadratic"])
         self.rebuild()
         self._remember_areas()
+
+    @ti.kernel
+    def _load(self, points: ti.types.ndarray(), kind: ti.types.ndarray(), direction: ti.types.ndarray(),
+              wall_index: ti.types.ndarray(), wall_fraction: ti.types.ndarray(), height_fraction: ti.types.ndarray(),
+              corner: ti.types.ndarray(), corner_count: ti.types.ndarray()):
+        for i in range(points.shape[0]):
+            zero = ti.Vector([0.0, 0.0])
+            self.rest[i] = ti.Vector([points[i, 0], points[i, 1]])
+            self.place[i] = self.rest[i]
+            self.kind[i], self.slide[i] = kind[i], ti.Vector([direction[i, 0], direction[i, 1]])
+            self.wall_index[i], self.wall_fraction[i] = wall_index[i], wall_fraction[i]
+            self.height_fraction[i] = height_fraction[i]
+            self.corner_count[i] = corner_count[i]
+            for k in range(CORNERS):
+                self.corner[i, k] = corner[i, k]
+            self.velocity[i], self.candidate[i], self.laplacian[i] = zero, zero, zero
+            self.pressure[i], self.potential[i], self.divergence[i] = 0.0, 0.0, 0.0
+            self.pressure_gradient[i], self.smooth_gradient[i] = zero, zero
+            self.velocity_gradient[i] = ti.Matrix([[0.0, 0.0], [0.0, 0.0]])
+            self.smooth_velocity_gradient[i] = ti.Matrix([[0.0, 0.0], [0.0, 0.0]])
+            self.pressure_dissipation[i], self.viscous_loss[i], self.numerical_loss[i] = 0.0, 0.0, 0.0
+
+    @ti.kernel
+    def _load_chamber(self, triangles: ti.types.ndarray(), wall_count: int, volume: float, density: float,
+                      viscosity: float, sound_speed: float, dissipation_length: float, no_slip: int):
+        self.wall_count[None], self.triangle_count[None] = wall_count, triangles.shape[0]
+        self.rest_volume[None], self.pressure_shift[None] = volume, 0.0
+        self.density0[None], self.viscosity[None], self.sound_speed[None] = density, viscosity, sound_speed
+        self.dissipation_length[None], self.no_slip[None] = dissipation_length, no_slip
+        for t in range(triangles.shape[0]):
+            for k in ti.static(range(3)):
+                self.triangle[t, k] = triangles[t, k]
 
     def rebuild(self) -> None:
         """Recompute operator weights and node volumes at the current places."""
@@ -211,6 +232,8 @@ class Aqueous:
         candidate = self.velocity[i] + dt * push
         if self.kind[i] == SLIDE:
             candidate = self.slide[i] * self.slide[i].dot(candidate)
+            if self.no_slip[None] == 1 and self.place[i][0] > 0.0:
+                candidate = ti.Vector([0.0, 0.0])
         elif self.kind[i] == FIXED:
             candidate = ti.Vector([0.0, 0.0])
         self.candidate[i] = candidate
@@ -223,11 +246,10 @@ class Aqueous:
     def meet_wall(self, i, wall_place: ti.template(), wall_velocity):
         """The velocity of wall node i once the cornea moves with `wall_velocity` there."""
         velocity = wall_velocity
-        if ti.static(not self.no_slip):
-            if i > 0 and self.kind[i] == WALL:
-                along = (wall_place[i + 1] - wall_place[i - 1]).normalized()
-                normal = ti.Vector([-along[1], along[0]])
-                velocity = self.candidate[i] + normal * normal.dot(wall_velocity - self.candidate[i])
+        if self.no_slip[None] == 0 and i > 0 and self.kind[i] == WALL:
+            along = (wall_place[i + 1] - wall_place[i - 1]).normalized()
+            normal = ti.Vector([-along[1], along[0]])
+            velocity = self.candidate[i] + normal * normal.dot(wall_velocity - self.candidate[i])
         return velocity
 
     @ti.func

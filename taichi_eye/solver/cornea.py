@@ -43,7 +43,7 @@ class Cornea:
         vector = lambda: ti.Vector.field(2, fp, capacity)
         scalar = lambda: ti.field(fp, capacity)
         self.rest, self.place, self.velocity, self.acceleration = vector(), vector(), vector(), vector()
-        self.residual = vector()
+        self.residual, self.lost = vector(), vector()
         self.force_solid, self.force_air, self.tension = vector(), vector(), vector()
         self.mass, self.hoop, self.load_shape, self.air_pressure = scalar(), scalar(), scalar(), scalar()
         self.element_length, self.element_radius, self.element_volume = scalar(), scalar(), scalar()
@@ -65,21 +65,29 @@ class Cornea:
         # half an element on either side of a node
         ring[:-1] += np.pi * length * (0.75 * nodes[:-1, 0] + 0.25 * nodes[1:, 0])
         ring[1:] += np.pi * length * (0.25 * nodes[:-1, 0] + 0.75 * nodes[1:, 0])
-        self.elements[None] = count - 1
-        for field, values in ((self.rest, nodes), (self.place, nodes), (self.mass, density * thickness * ring),
-                              (self.element_length, length), (self.element_radius, radius),
-                              (self.element_volume, thickness * 2.0 * np.pi * radius * length),
-                              (self.load_shape, load_shape)):
-            whole = np.zeros(field.shape + ((field.n,) if hasattr(field, "n") else ()))
-            whole[:len(values)] = values
-            field.from_numpy(whole)
-        self.material.from_numpy(np.asarray(material, dtype=float))
+        shape = np.asarray(load_shape, dtype=float)
+        self._load(np.ascontiguousarray(nodes), density * thickness * ring, length, radius,
+                   thickness * 2.0 * np.pi * radius * length, shape, *material, iop)
+        self._store_rest_residual()
+
+    @ti.kernel
+    def _load(self, nodes: ti.types.ndarray(), mass: ti.types.ndarray(), length: ti.types.ndarray(),
+              radius: ti.types.ndarray(), volume: ti.types.ndarray(), load_shape: ti.types.ndarray(),
+              stiffness: float, s: float, nu: float, prestrain: float, iop: float):
+        self.elements[None] = nodes.shape[0] - 1
+        self.material[0], self.material[1], self.material[2], self.material[3] = stiffness, s, nu, prestrain
         self.iop[None] = iop
         self.puff_work[None] = 0.0
-        for field in (self.velocity, self.acceleration, self.residual, self.force_air, self.force_solid,
-                      self.air_pressure):
-            field.fill(0.0)
-        self._store_rest_residual()
+        for i in range(nodes.shape[0]):
+            zero = ti.Vector([0.0, 0.0])
+            self.rest[i] = ti.Vector([nodes[i, 0], nodes[i, 1]])
+            self.place[i] = self.rest[i]
+            self.mass[i], self.load_shape[i], self.air_pressure[i] = mass[i], load_shape[i], 0.0
+            self.velocity[i], self.acceleration[i], self.lost[i] = zero, zero, zero
+            self.force_air[i], self.force_solid[i], self.residual[i] = zero, zero, zero
+        for k in range(nodes.shape[0] - 1):
+            self.element_length[k], self.element_radius[k] = length[k], radius[k]
+            self.element_volume[k] = volume[k]
 
     @ti.func
     def stress_of(self, e):
@@ -148,8 +156,14 @@ class Cornea:
 
     @ti.func
     def predict(self, i, dt):
-        """Explicit Newmark (beta 0): the place at the end of the step from the state at its start."""
-        self.place[i] += self.held(i, dt * self.velocity[i] + 0.5 * dt * dt * self.acceleration[i])
+        """Explicit Newmark (beta 0): the place at the end of the step from the state at its start.
+
+        The sum is compensated (Kahan): a step moves a node by less than f32 resolves at its place.
+        """
+        step = self.held(i, dt * self.velocity[i] + 0.5 * dt * dt * self.acceleration[i]) - self.lost[i]
+        moved = self.place[i] + step
+        self.lost[i] = (moved - self.place[i]) - step
+        self.place[i] = moved
 
     @ti.func
     def collect_forces(self, i):

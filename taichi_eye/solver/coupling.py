@@ -22,6 +22,7 @@ compressible fluid: 0.01 at h = 0.1 mm. Loose coupling is unstable where it exce
 Pressure and velocity are staggered by half a step, so the pair is a leapfrog: second order in dt and without damping of
 its own; the dissipation is lagged.
 """
+import numpy as np
 import taichi as ti
 
 from taichi_eye import backend
@@ -30,66 +31,62 @@ from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.cornea import Cornea
 
 SERIAL_NODES = 4000  # up to here one thread running the whole time loop beats launching each loop on all of them
-VELOCITY_FLOOR = 1e-7  # m/s: membrane speeds below it count as rest in the coupling tolerance
+# what rounding leaves, by precision: membrane speeds [m/s] below which the wall counts as at rest in the coupling
+# tolerance, and the finest tolerance that can be met
+VELOCITY_FLOOR = {ti.f64: 1e-7, ti.f32: 1e-2}
+FINEST_TOLERANCE = {ti.f64: 0.0, ti.f32: 1e-5}
 RUNNING, NOT_CONVERGED = 0, 1
 
 
 @ti.data_oriented
 class Coupling:
-    """Steps cornea and aqueous humour together.
+    """Steps cornea and aqueous humour together; `setup` says how."""
 
-    iterated, aitken: how the iteration of step 3 runs; factor: (first) relaxation factor; tolerance: largest change of
-    the membrane's velocity in a sweep over its largest velocity; sweeps_max; steps_max: longest `advance`.
-    """
-
-    def __init__(self, cornea: Cornea, aqueous: Aqueous, iterated: bool, aitken: bool, factor: float, tolerance: float,
-                 sweeps_max: int, steps_max: int):
+    def __init__(self, cornea: Cornea, aqueous: Aqueous):
         fp = real()
         self.cornea, self.aqueous = cornea, aqueous
-        self.iterated, self.aitken, self.factor = iterated, aitken, factor
-        self.tolerance, self.sweeps_max = tolerance, sweeps_max
-        self.guess = ti.Vector.field(2, fp, self.cornea.capacity)
-        self.miss = ti.Vector.field(2, fp, self.cornea.capacity)
-        self.last_miss = ti.Vector.field(2, fp, self.cornea.capacity)
-        self.wall_velocity = ti.Vector.field(2, fp, self.cornea.capacity)
-        self.wall_pressure = ti.field(fp, self.cornea.capacity)
-        self.puff = ti.field(fp, steps_max)
+        vector = lambda: ti.Vector.field(2, fp, cornea.capacity)
+        self.guess, self.miss, self.last_miss, self.wall_velocity = vector(), vector(), vector(), vector()
+        self.wall_pressure = ti.field(fp, cornea.capacity)
+        self.iterated, self.aitken, self.sweeps_max = (ti.field(ti.i32, ()) for _ in range(3))
+        self.factor, self.tolerance, self.velocity_floor = (ti.field(fp, ()) for _ in range(3))
         self.status = ti.field(ti.i32, ())
-        self.failed_step = ti.field(ti.i32, ())
+        # the most sweeps of a step and the worst residual since they were last read
         self.sweeps = ti.field(ti.i32, ())
         self.worst_residual, self.rest_enclosed = ti.field(fp, ()), ti.field(fp, ())
+
+    def setup(self, iterated: bool, aitken: bool, factor: float, tolerance: float, sweeps_max: int) -> None:
+        """How step 3 runs, and a fresh start.
+
+        factor: (first) relaxation factor; tolerance: largest change of the membrane's velocity in a sweep over its
+        largest velocity; sweeps_max: at which the run counts as not converged.
+        """
+        self._load(iterated, aitken, factor, max(tolerance, FINEST_TOLERANCE[real()]), VELOCITY_FLOOR[real()],
+                   sweeps_max)
+
+    @ti.kernel
+    def _load(self, iterated: int, aitken: int, factor: float, tolerance: float, floor: float, sweeps_max: int):
+        self.iterated[None], self.aitken[None], self.sweeps_max[None] = iterated, aitken, sweeps_max
+        self.factor[None], self.tolerance[None], self.velocity_floor[None] = factor, tolerance, floor
+        self.status[None] = RUNNING
+        self.sweeps[None], self.worst_residual[None] = 0, 0.0
 
     def advance(self, puff_apex, dt: float, dt_before: float) -> None:
         """Take len(puff_apex) steps of dt [s]; puff_apex [Pa]: the puff on the axis at the end of each step.
 
         dt_before is the step before this call: velocities live at half steps, so the first kick spans both halves.
         """
-        steps = len(puff_apex)
-        padded = self.puff.to_numpy() * 0.0
-        padded[:steps] = puff_apex
-        self.puff.from_numpy(padded)
-        if backend.on_cpu() and (self.aqueous.count[None] <= SERIAL_NODES or backend.threads() == 1):
-            self._advance_serially(steps, dt, dt_before)
+        if backend.on_cpu() and (self.aqueous.nodes <= SERIAL_NODES or backend.threads() == 1):
+            self._advance_serially(np.ascontiguousarray(puff_apex, dtype=float), dt, dt_before)
         else:
-            for step in range(steps):
-                self._step_in_parallel(step, dt, 0.5 * (dt + dt_before) if step == 0 else dt)
-
-    def reset(self) -> None:
-        """Forget earlier failures and counts."""
-        self.status[None], self.failed_step[None] = RUNNING, -1
-        self.sweeps[None], self.worst_residual[None] = 0, 0.0
-
-    def counts(self) -> tuple[int, float, int]:
-        """Most sweeps in a step and worst residual since the last call, and the status."""
-        counted = self.sweeps[None], self.worst_residual[None], self.status[None]
-        self.sweeps[None], self.worst_residual[None] = 0, 0.0
-        return counted
+            for step, puff in enumerate(puff_apex):
+                self._step_in_parallel(puff, dt, 0.5 * (dt + dt_before) if step == 0 else dt)
 
     @ti.func
-    def _start_step(self, i, step, dt):
+    def _start_step(self, i, puff, dt):
         # wall node i: predictor, air pressure at the end of the step
         self.cornea.predict(i, dt)
-        self.cornea.air_pressure[i] = self.puff[step] * self.cornea.load_shape[i]
+        self.cornea.air_pressure[i] = puff * self.cornea.load_shape[i]
         self.guess[i] = self.cornea.acceleration[i]
         self.last_miss[i] = ti.Vector([0.0, 0.0])
 
@@ -105,12 +102,12 @@ class Coupling:
     def _match_wall(self, dt):
         """Step 3: iterate the membrane's acceleration; serial over the wall nodes."""
         walls = self.aqueous.wall_count[None]
-        omega = 1.0 * self.factor
+        omega = self.factor[None]
         sweep = 0
         residual = ti.math.inf
         going = True
         while going:
-            top = VELOCITY_FLOOR * 1.0
+            top = self.velocity_floor[None]
             for i in range(walls):
                 after = self.cornea.velocity[i] + 0.5 * dt * (self.cornea.acceleration[i] + self.guess[i])
                 self.wall_velocity[i] = self.cornea.held(i, 0.5 * (self.cornea.velocity[i] + after))
@@ -135,13 +132,12 @@ class Coupling:
                 self.miss[i] = miss
             residual /= top
             sweep += 1
-            if ti.static(self.iterated):
+            if self.iterated[None] == 1:
                 # written so that NaN goes on to the limit instead of passing
-                going = not (residual <= self.tolerance) and sweep < self.sweeps_max
+                going = not (residual <= self.tolerance[None]) and sweep < self.sweeps_max[None]
                 if going:
-                    if ti.static(self.aitken):
-                        if sweep > 1 and square > 0.0:
-                            omega = -omega * product / square
+                    if self.aitken[None] == 1 and sweep > 1 and square > 0.0:
+                        omega = -omega * product / square
                     for i in range(walls):
                         self.guess[i] += omega * self.miss[i]
                         self.last_miss[i] = self.miss[i]
@@ -149,9 +145,8 @@ class Coupling:
                 going = False
                 for i in range(walls):
                     self.guess[i] += self.miss[i]
-        if ti.static(self.iterated):
-            if not (residual <= self.tolerance):
-                self.status[None] = NOT_CONVERGED
+        if self.iterated[None] == 1 and not (residual <= self.tolerance[None]):
+            self.status[None] = NOT_CONVERGED
         self.sweeps[None] = ti.max(self.sweeps[None], sweep)
         self.worst_residual[None] = ti.max(self.worst_residual[None], residual)
 
@@ -167,16 +162,16 @@ class Coupling:
             self.aqueous.rest_volume[None] + self.cornea.enclosed_volume() - self.rest_enclosed[None])
 
     @ti.kernel
-    def _advance_serially(self, steps: int, dt: float, dt_before: float):
+    def _advance_serially(self, puff: ti.types.ndarray(), dt: float, dt_before: float):
         nodes, walls = self.aqueous.count[None], self.aqueous.wall_count[None]
         ti.loop_config(serialize=True)
-        for step in range(steps):
+        for step in range(puff.shape[0]):
             if self.status[None] == RUNNING:
                 kick_dt = dt
                 if step == 0:
                     kick_dt = 0.5 * (dt + dt_before)
                 for i in range(walls):
-                    self._start_step(i, step, dt)
+                    self._start_step(i, puff[step], dt)
                 for k in range(walls - 1):
                     self.cornea.stretch_element(k)
                 work = 0.0
@@ -197,16 +192,14 @@ class Coupling:
                 for i in range(walls):
                     self._end_cornea_step(i, dt)
                 self._settle_pressure()
-                if self.status[None] != RUNNING:
-                    self.failed_step[None] = step
 
     @ti.kernel
-    def _step_in_parallel(self, step: int, dt: float, kick_dt: float):
+    def _step_in_parallel(self, puff: float, dt: float, kick_dt: float):
         ti.loop_config(serialize=True)
         for once in range(1):
             walls = self.aqueous.wall_count[None]
             for i in range(walls):
-                self._start_step(i, step, dt)
+                self._start_step(i, puff, dt)
             for k in range(walls - 1):
                 self.cornea.stretch_element(k)
             work = 0.0
@@ -231,5 +224,3 @@ class Coupling:
             for i in range(self.aqueous.wall_count[None]):
                 self._end_cornea_step(i, dt)
             self._settle_pressure()
-            if self.status[None] != RUNNING and self.failed_step[None] < 0:
-                self.failed_step[None] = step

@@ -17,7 +17,7 @@ QUANTITIES = (
     "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic", "viscous_loss", "numerical_loss", "least_stress",
     "slackest_element", "membrane_speed", "transverse_speed", "membrane_step", "smallest_gap", "flattest_triangle",
     "flat_node", "worst_condition", "ill_node", "chamber_gap", "gap_node", "not_finite", "bad_node", "fluid_speed",
-    "wall_travel", "mean_pressure")
+    "wall_travel", "coupling_sweeps", "coupling_residual", "coupling_status")
 
 
 @ti.data_oriented
@@ -27,7 +27,7 @@ class Survey:
     def __init__(self, cornea: Cornea, aqueous: Aqueous, coupling: Coupling):
         self.cornea, self.aqueous, self.coupling = cornea, aqueous, coupling
         self.row = ti.field(real(), len(QUANTITIES))
-        self.built_place = ti.Vector.field(2, real(), self.cornea.capacity)
+        self.built_place = ti.Vector.field(2, real(), cornea.capacity)
         self.rest_energy, self.back = ti.field(real(), ()), ti.field(real(), cornea.capacity)
 
     def take(self) -> dict[str, float]:
@@ -37,11 +37,13 @@ class Survey:
 
     def remember_rest(self, back_height) -> None:
         """Take the present state as rest; back_height [wall nodes]: z of the rigid back below each [m]."""
-        self.back.from_numpy(back_height)
-        self._remember_rest()
+        self._remember_rest(np.asarray(back_height, dtype=float))
 
     @ti.kernel
-    def _remember_rest(self):
+    def _remember_rest(self, back_height: ti.types.ndarray()):
+        for i in range(self.aqueous.wall_count[None]):
+            self.back[i] = back_height[i]
+            self.built_place[i] = self.cornea.place[i]
         ti.loop_config(serialize=True)
         for once in range(1):
             self.rest_energy[None] = self.cornea.elastic_energy()
@@ -62,13 +64,11 @@ class Survey:
             volume = rest_volume + self.cornea.enclosed_volume() - self.coupling.rest_enclosed[None]
             kinetic, elastic = self.aqueous.energies(volume)
             viscous, numerical = 0.0, 0.0
-            bad, ill, worst, fast, mean, weight = -1, 0, 0.0, 0.0, 0.0, 0.0
+            bad, ill, worst, fast = -1, 0, 0.0, 0.0
             gap = ti.math.inf
             for i in range(nodes):
                 viscous += self.aqueous.viscous_loss[i]
                 numerical += self.aqueous.numerical_loss[i]
-                mean += self.aqueous.volume[i] * self.aqueous.pressure[i]
-                weight += self.aqueous.volume[i]
                 sum = self.aqueous.pressure[i] + self.aqueous.velocity[i].sum()
                 if bad < 0 and (ti.math.isnan(sum) or ti.math.isinf(sum)):
                     bad = i
@@ -116,6 +116,9 @@ class Survey:
                 self.cornea.elastic_energy() - self.rest_energy[None], self.cornea.kinetic_energy(), kinetic,
                 elastic + self.cornea.iop[None] * (rest_volume - volume), viscous, numerical, least, slackest, in_plane,
                 transverse, step, ti.sqrt(gap), flattest, flat, worst, ill, room, near, ti.select(bad >= 0, 1.0, 0.0),
-                bad, fast, travel, mean / weight))
+                bad, fast, travel, self.coupling.sweeps[None], self.coupling.worst_residual[None],
+                self.coupling.status[None]))
             for q in ti.static(range(len(QUANTITIES))):
                 self.row[q] = figures[q]
+            self.coupling.sweeps[None] = 0
+            self.coupling.worst_residual[None] = 0.0

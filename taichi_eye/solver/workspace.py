@@ -1,0 +1,45 @@
+"""The fields and kernels of a coupled pair, reused from one simulation to the next.
+
+Fields are allocated for a capacity, a power of two, and hold any smaller cloud; kernels belong to the fields they were
+compiled for. A workspace that its simulation no longer holds goes to the next one that fits, which then compiles
+nothing.
+"""
+import weakref
+
+from taichi_eye import backend
+from taichi_eye.solver.aqueous import Aqueous
+from taichi_eye.solver.cornea import Cornea
+from taichi_eye.solver.coupling import Coupling
+from taichi_eye.solver.motion import Motion
+from taichi_eye.solver.survey import Survey
+
+SMALLEST = 256  # nodes
+
+_free: dict[tuple, list["Workspace"]] = {}
+
+
+class Workspace:
+    """Cornea, aqueous humour and what steps and measures them, for up to `nodes` nodes."""
+
+    def __init__(self, nodes: int, walls: int, basis: str):
+        self.cornea = Cornea(walls)
+        self.aqueous = Aqueous(nodes, basis)
+        self.coupling = Coupling(self.cornea, self.aqueous)
+        self.motion = Motion(self.cornea, self.aqueous)
+        self.survey = Survey(self.cornea, self.aqueous, self.coupling)
+
+
+def _capacity(count: int) -> int:
+    capacity = SMALLEST
+    while capacity < count:
+        capacity *= 2
+    return capacity
+
+
+def borrow(holder, nodes: int, walls: int, basis: str) -> Workspace:
+    """A workspace for `nodes` nodes, `walls` of them on the cornea; free again once `holder` is gone."""
+    kind = backend.generation(), _capacity(nodes), _capacity(walls), basis
+    free = _free.setdefault(kind, [])
+    workspace = free.pop() if free else Workspace(kind[1], kind[2], basis)
+    weakref.finalize(holder, free.append, workspace).atexit = False
+    return workspace
