@@ -15,6 +15,7 @@ from tqdm import tqdm
 
 from taichi_eye import backend
 from taichi_eye.errors import RunStopped
+from taichi_eye.eye.globe import retreat_mm
 from taichi_eye.film import FilmView, FilmWriter, FrameState, write_gif
 from taichi_eye.report.compare import Measured, differences, read_measured
 from taichi_eye.report.folder import create_run_folder, write_text
@@ -110,14 +111,17 @@ class _Recorder:
 
     def _film(self, simulation, view, film, frame):
         scene, traces = self.scene, simulation.traces
+        retreat = float(retreat_mm(scene, simulation.time_ms))
         state = FrameState(
             time_ms=simulation.time_ms, wall=simulation.cornea.place, wall_count=simulation.cloud.wall_count,
             nodes=simulation.aqueous.place, node_count=simulation.cloud.count, pressure=simulation.aqueous.pressure,
             velocity=simulation.aqueous.velocity, trace_time_ms=np.array(traces["time_ms"]),
-            trace_apex_mm=np.array(traces["apex_displacement_mm"]), trace_puff_kpa=np.array(traces["puff_apex_kpa"]))
+            trace_apex_mm=np.array(traces["apex_displacement_mm"]), trace_puff_kpa=np.array(traces["puff_apex_kpa"]),
+            retreat_mm=retreat)
         image = view.render(state)
         film.write(image, simulation.time_ms)
-        self.walls.append((simulation.time_ms, simulation.cornea.place.to_numpy()[:simulation.cloud.wall_count] / MM))
+        wall = simulation.cornea.place.to_numpy()[:simulation.cloud.wall_count] / MM
+        self.walls.append((simulation.time_ms, wall - [0.0, retreat]))
         if frame % self.stride == 0 or frame == scene.camera.frame_count - 1:
             slit = image if view.kind == "scheimpflug" else view.scheimpflug_frame(state)
             self.frames.append((simulation.time_ms, slit.copy()))

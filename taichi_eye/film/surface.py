@@ -10,21 +10,28 @@ x = const, from far away (parallel rays). A ray that enters the surface at Q = (
 bends by Snell's law at the surface's normal there and meets the lit plane in a point P; the image shows P
 where the straight air ray through Q meets that plane, (x, 0, z_Q - y / tan(angle)). For every radius the
 entry point whose P lies on the posterior surface (the anterior one moved inwards along its normals by the
-thickness) is found by secants. For a flat surface apparent/true depth is
+thickness there) is found by secants. For a flat surface apparent/true depth is
 tan(asin(sin(angle)/n))/tan(angle).
+
+What lies deeper, iris and lens, is seen through the same surface: two more rays of a column, further down, and the
+posterior one give P as a quadratic in the apparent height. The aqueous humour counts as cornea there (1.336 against
+1.376: 3 % of the depth).
 """
 from math import ceil, cos, radians, sin, sqrt
 
+import numpy as np
 import taichi as ti
 
 from taichi_eye.backend import real
 from taichi_eye.eye.section import Section
+from taichi_eye.eye.thickness import thickness
 
 SLOPE_MAX = 4.0        # dz/dr beyond which the table no longer follows an overhang
 POSTERIOR_STEPS = 12   # fixed point on the normal's foot; contracts by thickness over radius of curvature
 SECANT_STEPS = 8
 TOLERANCE = 1e-6       # of both, in thicknesses
-MARGIN_MM = 1.2        # table beyond what is drawn: entry points and feet of normals lie outside their column
+DEEPER = 1.4e-3, 2.8e-3  # entry points of the deeper rays beyond that of the posterior one [m]
+MARGIN_MM = 2.0        # table beyond what is drawn: entry points and feet of normals lie outside their column
 
 
 @ti.data_oriented
@@ -32,7 +39,8 @@ class Surface:
     """Tables over r = k * spacing of the anterior height and slope and of the apparent posterior height.
 
     Fields: height [m], slope [-] and posterior [m] (true height) of shape [count], apparent [m] of shape
-    [columns], which reaches as far as the frame does; z from the limbus plane, all even in x. Beyond the
+    [columns], which reaches as far as the frame does, and behind, [columns] vectors (a0, z0, z1, z2, x0, x1, x2): at
+    apparent height a = a0 + d the camera sees (x, z) = (x0 + x1 d + x2 d^2, z0 + z1 d + z2 d^2) [m]; z from the limbus plane, all even in x. Beyond the
     limbus the surface goes on straight, at the slope of the undeformed cap.
     """
 
@@ -45,7 +53,6 @@ class Surface:
         self.spacing = spacing_mm * 1e-3
         self.columns = ceil(half_width_mm / spacing_mm) + 2
         self.count = ceil(extent_mm / spacing_mm) + 2
-        self.thickness = cornea.thickness_mm * 1e-3
         self.index_ratio = 1.0 / camera.refractive_index
         self.sin_angle = sin(radians(camera.angle_deg))
         self.cos_angle = cos(radians(camera.angle_deg))
@@ -58,6 +65,9 @@ class Surface:
         self.slope = ti.field(real(), self.count)
         self.posterior = ti.field(real(), self.count)
         self.apparent = ti.field(real(), self.columns)
+        self.behind = ti.Vector.field(7, real(), self.columns)
+        self.thickness = ti.field(real(), self.count)
+        self.thickness.from_numpy(thickness(scene, np.arange(self.count) * self.spacing))
 
     def update(self, wall: ti.MatrixField, wall_count: int) -> None:
         """Resample the wall and trace the posterior surface; gathers only, the same bits on any thread
@@ -75,15 +85,25 @@ class Surface:
             foot = x
             for _ in range(POSTERIOR_STEPS):
                 s = self.at(self.slope, foot)
-                moved = x - self.thickness * s / ti.sqrt(1.0 + s * s)
+                moved = x - self.at(self.thickness, foot) * s / ti.sqrt(1.0 + s * s)
                 change = moved - foot
                 foot = moved
-                if abs(change) < TOLERANCE * self.thickness:
+                if abs(change) < TOLERANCE * self.thickness[0]:
                     break
             s = self.at(self.slope, foot)
-            self.posterior[k] = self.at(self.height, foot) - self.thickness / ti.sqrt(1.0 + s * s)
+            self.posterior[k] = self.at(self.height, foot) - self.at(self.thickness, foot) / ti.sqrt(1.0 + s * s)
         for k in range(self.columns):
-            self.apparent[k] = self.trace(k * self.spacing)
+            x = k * self.spacing
+            y = self.trace(x)
+            first = self.enter(x, y)
+            second = self.enter(x, y + DEEPER[0])
+            third = self.enter(x, y + DEEPER[1])
+            self.apparent[k] = first[0]
+            d1 = second[0] - first[0]
+            d2 = third[0] - first[0]
+            x1, x2 = parabola(d1, second[2] - first[2], d2, third[2] - first[2])
+            z1, z2 = parabola(d1, second[3] - first[3], d2, third[3] - first[3])
+            self.behind[k] = ti.Vector([first[0], first[3], z1, z2, first[2], x1, x2])
 
     @ti.func
     def at(self, table: ti.template(), r):
@@ -141,8 +161,8 @@ class Surface:
 
     @ti.func
     def enter(self, x, y):
-        """The camera ray that enters at (x, y): its apparent height, and how far above the posterior
-        surface it meets the lit plane [m]."""
+        """The camera ray that enters at (x, y): its apparent height, how far above the posterior surface it
+        meets the lit plane, and the x and z where it does [m]."""
         rho = ti.sqrt(x * x + y * y)
         z = self.at(self.height, rho)
         s = self.at(self.slope, rho)
@@ -159,25 +179,34 @@ class Surface:
         tz = -self.index_ratio * self.cos_angle + bend * nz
         run = y / ti.max(-ty, 1e-3)
         apparent = z - y * self.cos_angle / self.sin_angle
-        return ti.Vector([apparent, z + run * tz - self.at(self.posterior, x + run * tx)])
+        px = x + run * tx
+        pz = z + run * tz
+        return ti.Vector([apparent, pz - self.at(self.posterior, px), px, pz])
 
     @ti.func
     def trace(self, x):
-        """Apparent height of the posterior surface in column x."""
+        """Where (y) the ray enters that shows the posterior surface in column x."""
         y0 = 0.0 * x
         gap0 = self.enter(x, y0)[1]
         y1 = self.flat_ratio * gap0 * self.sin_angle / self.cos_angle
         ray = self.enter(x, y1)
         for _ in range(SECANT_STEPS):
             change = ray[1] - gap0
-            if abs(ray[1]) < TOLERANCE * self.thickness or change == 0.0:
+            if abs(ray[1]) < TOLERANCE * self.thickness[0] or change == 0.0:
                 break
             y2 = ti.max(y1 - ray[1] * (y1 - y0) / change, 0.0)
             y0 = y1
             gap0 = ray[1]
             y1 = y2
             ray = self.enter(x, y1)
-        return ray[0]
+        return y1
+
+
+@ti.func
+def parabola(d1, v1, d2, v2):
+    """Coefficients of d and d^2 of the parabola through (0, 0), (d1, v1) and (d2, v2)."""
+    second = (v2 / d2 - v1 / d1) / (d2 - d1)
+    return v1 / d1 - second * d1, second
 
 
 @ti.func

@@ -47,35 +47,37 @@ class Cornea:
         self.force_solid, self.force_air, self.tension = vector(), vector(), vector()
         self.mass, self.hoop, self.load_shape, self.air_pressure = scalar(), scalar(), scalar(), scalar()
         self.element_length, self.element_radius, self.element_volume = scalar(), scalar(), scalar()
+        self.prestrain = scalar()
         self.stress = vector()
-        self.material = ti.field(fp, 4)  # A [Pa], s, nu, eps0
+        self.material = ti.field(fp, 3)  # A [Pa], s, nu
         self.iop = ti.field(fp, ())
         self.puff_work = ti.field(fp, ())
 
-    def setup(self, nodes, thickness: float, density: float, material, iop: float, load_shape) -> None:
+    def setup(self, nodes, thickness, density: float, material, prestrain, iop: float, load_shape) -> None:
         """Place the membrane at rest.
 
-        nodes [n, 2] (m), apex first; thickness (m); density (kg/m^3); material (A in Pa, s, nu, eps0); iop (Pa);
-        load_shape [n]: the puff's pressure at each node relative to its pressure on the axis.
+        nodes [n, 2] (m), apex first; thickness [n - 1] (m) and prestrain [n - 1] of the elements; density (kg/m^3);
+        material (A in Pa, s, nu); iop (Pa); load_shape [n]: the puff's pressure at each node relative to its pressure on the axis.
         """
         count = len(nodes)
         length = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
         radius = 0.5 * (nodes[1:, 0] + nodes[:-1, 0])
         ring = np.zeros(count)
         # half an element on either side of a node
-        ring[:-1] += np.pi * length * (0.75 * nodes[:-1, 0] + 0.25 * nodes[1:, 0])
-        ring[1:] += np.pi * length * (0.25 * nodes[:-1, 0] + 0.75 * nodes[1:, 0])
+        ring[:-1] += thickness * np.pi * length * (0.75 * nodes[:-1, 0] + 0.25 * nodes[1:, 0])
+        ring[1:] += thickness * np.pi * length * (0.25 * nodes[:-1, 0] + 0.75 * nodes[1:, 0])
         shape = np.asarray(load_shape, dtype=float)
-        self._load(np.ascontiguousarray(nodes), density * thickness * ring, length, radius,
-                   thickness * 2.0 * np.pi * radius * length, shape, *material, iop)
+        self._load(np.ascontiguousarray(nodes), density * ring, length, radius,
+                   thickness * 2.0 * np.pi * radius * length, np.ascontiguousarray(prestrain), shape, *material,
+                   iop)
         self._store_rest_residual()
 
     @ti.kernel
     def _load(self, nodes: ti.types.ndarray(), mass: ti.types.ndarray(), length: ti.types.ndarray(),
-              radius: ti.types.ndarray(), volume: ti.types.ndarray(), load_shape: ti.types.ndarray(),
-              stiffness: float, s: float, nu: float, prestrain: float, iop: float):
+              radius: ti.types.ndarray(), volume: ti.types.ndarray(), prestrain: ti.types.ndarray(),
+              load_shape: ti.types.ndarray(), stiffness: float, s: float, nu: float, iop: float):
         self.elements[None] = nodes.shape[0] - 1
-        self.material[0], self.material[1], self.material[2], self.material[3] = stiffness, s, nu, prestrain
+        self.material[0], self.material[1], self.material[2] = stiffness, s, nu
         self.iop[None] = iop
         self.puff_work[None] = 0.0
         for i in range(nodes.shape[0]):
@@ -87,7 +89,7 @@ class Cornea:
             self.force_air[i], self.force_solid[i], self.residual[i] = zero, zero, zero
         for k in range(nodes.shape[0] - 1):
             self.element_length[k], self.element_radius[k] = length[k], radius[k]
-            self.element_volume[k] = volume[k]
+            self.element_volume[k], self.prestrain[k] = volume[k], prestrain[k]
 
     @ti.func
     def stress_of(self, e):
@@ -105,7 +107,7 @@ class Cornea:
         edge = self.place[k + 1] - self.place[k]
         lam1_squared = edge.norm_sqr() / self.element_length[k] ** 2
         lam2 = 0.5 * (self.place[k][0] + self.place[k + 1][0]) / self.element_radius[k]
-        shift = self.material[3]
+        shift = self.prestrain[k]
         return ti.Vector([0.5 * (lam1_squared - 1.0) + shift, 0.5 * (lam2 * lam2 - 1.0) + shift])
 
     @ti.func

@@ -95,7 +95,7 @@ class Survey:
                 s, nu = self.cornea.material[1], self.cornea.material[2]
                 grown = 2.0 * s * (energy + self.cornea.material[0])
                 slope = (1.0 - nu) * strain[0] + nu * (strain[0] + strain[1])
-                stretch_squared = 2.0 * (strain[0] - self.cornea.material[3]) + 1.0
+                stretch_squared = 2.0 * (strain[0] - self.cornea.prestrain[k]) + 1.0
                 stiffness = grown * (1.0 + 2.0 * s * slope * slope) * stretch_squared + stress[0]
                 speed = ti.sqrt(ti.max(stiffness, 0.0) / density)
                 in_plane = ti.max(in_plane, speed)
