@@ -64,6 +64,8 @@ def read_film(path: str | Path, **settings: float | None) -> Film:
     else:
         frames = _grey(_read_video(path), instrument, given, path)
         times, how = _times_of([], frames, instrument.frame_interval_ms)
+    known = np.isfinite(times)
+    frames, times = frames[known], times[known]
     columns = frames.shape[2]
     if columns != FIELD_PX[0] and "pixel_x_mm" not in given and "pixel_y_mm" not in given:
         # a copy of another size shows the same field

@@ -2,7 +2,8 @@
 
 Bright connected shapes of one height on one line are digits, a low one between them the point; each digit is compared
 with those of a few common typefaces. A reading counts where it falls on a whole number of frame intervals and follows
-the readings before it; the rest is bridged, so that a wrong digit here and there does no harm.
+the readings before it. Unread frames between two readings are counted off where none is missing there; elsewhere their
+time stays unknown.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ READ_MIN = 0.5            # share of the frames that must be read
 
 
 def read_stamps(frames: np.ndarray, frame_interval_ms: float) -> np.ndarray | None:
-    """Times [frames] in ms from the stamps in uint8 frames [frames, rows, columns]; None where there are none.
+    """Times [frames] in ms from the stamps in uint8 frames [frames, rows, columns], NaN where unknown; None where there are
+    no stamps.
 
     frame_interval_ms: stamps are held to whole multiples of it.
     """
@@ -120,8 +122,10 @@ def _consistent(values: np.ndarray, interval: float) -> np.ndarray | None:
     kept = usable[chain[::-1]]
     if len(kept) < READ_MIN * len(values):
         return None
-    index = np.arange(len(values))
-    times = np.interp(index, kept, values[kept])
-    times[:kept[0]] = values[kept[0]] - interval * (kept[0] - index[:kept[0]])
-    times[kept[-1] + 1:] = values[kept[-1]] + interval * (index[kept[-1] + 1:] - kept[-1])
+    times = np.full(len(values), np.nan)
+    times[kept] = interval * np.round(values[kept] / interval)
+    # between two readings the unread frames are known where none is missing; else they stay unknown
+    for i, j in zip(kept, kept[1:]):
+        if round((times[j] - times[i]) / interval) == j - i:
+            times[i:j] = times[i] + interval * np.arange(j - i)
     return times

@@ -78,7 +78,6 @@ class Scheimpflug:
         self.edge = ti.Vector.field(2, real(), len(edge))
         self.posterior = ti.field(real(), len(posterior))
         self.column = ti.Vector.field(5, real(), self.width)
-        self.seen = ti.Vector.field(7, real(), self.width)
         self.scenery = ti.Vector.field(2, real(), objects.shape[:2])
         self.quantile = ti.field(real(), len(gaussian_table()))
         self.edge.from_numpy(edge)
@@ -122,7 +121,6 @@ class Scheimpflug:
         row = self.apex_row + (self.apex_rest - z + retreat) / self.pixel_y
         tilt = 1.0 / ti.sqrt(1.0 + slope * slope)
         self.column[j] = ti.Vector([row, ti.max(depth, 1.0), tilt, stroma, self.epithelium * ti.max(line, 0.0)])
-        self.seen[j] = self.surface.at(self.surface.behind, x)
 
     @ti.kernel
     def _render(self, image: ti.types.ndarray(), key: ti.u32, noisy: ti.i32, retreat: float, speck: float):
@@ -137,10 +135,8 @@ class Scheimpflug:
             if depth * tilt > -PROFILE_BEFORE_PX:
                 behind = 0.0
                 if depth > 0.5 * thickness:
-                    a0, z0, z1, z2, x0, x1, x2 = self.seen[j]
-                    d = self.apex_rest + retreat - (i - self.apex_row) * self.pixel_y - a0
-                    x = x0 + d * (x1 + d * x2)
-                    z = z0 + d * (z1 + d * z2)
+                    apparent = self.apex_rest + retreat - (i - self.apex_row) * self.pixel_y
+                    x, z = self.surface.through((j - self.apex_column) * self.pixel_x, apparent)
                     front = (IRIS_HEIGHT_MM + IRIS_ABOVE_MM + IRIS_SLOPE * (abs(x) * 1e3 - IRIS_RIM_MM)) * 1e-3
                     if z < ti.max(front, LENS_ABOVE_MM * 1e-3):
                         iris, lens = self.scenery_at(x, z)

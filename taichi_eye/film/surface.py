@@ -13,8 +13,8 @@ entry point whose P lies on the posterior surface (the anterior one moved inward
 thickness there) is found by secants. For a flat surface apparent/true depth is
 tan(asin(sin(angle)/n))/tan(angle).
 
-What lies deeper, iris and lens, is seen through the same surface: two more rays of a column, further down, and the
-posterior one give P as a quadratic in the apparent height. The aqueous humour counts as cornea there (1.336 against
+What lies deeper, iris and lens, is seen through the same surface: further rays of a column, each entering a little
+further down, give P over the apparent height by linear interpolation. The aqueous humour counts as cornea there (1.336 against
 1.376: 3 % of the depth).
 """
 from math import ceil, cos, radians, sin, sqrt
@@ -30,7 +30,7 @@ SLOPE_MAX = 4.0        # dz/dr beyond which the table no longer follows an overh
 POSTERIOR_STEPS = 12   # fixed point on the normal's foot; contracts by thickness over radius of curvature
 SECANT_STEPS = 8
 TOLERANCE = 1e-6       # of both, in thicknesses
-DEEPER = 1.4e-3, 2.8e-3  # entry points of the deeper rays beyond that of the posterior one [m]
+RAYS, RAY_STEP = 7, 0.5e-3  # rays of a column behind the posterior surface, and between their entry points [m]
 MARGIN_MM = 2.0        # table beyond what is drawn: entry points and feet of normals lie outside their column
 
 
@@ -39,8 +39,8 @@ class Surface:
     """Tables over r = k * spacing of the anterior height and slope and of the apparent posterior height.
 
     Fields: height [m], slope [-] and posterior [m] (true height) of shape [count], apparent [m] of shape
-    [columns], which reaches as far as the frame does, and behind, [columns] vectors (a0, z0, z1, z2, x0, x1, x2): at
-    apparent height a = a0 + d the camera sees (x, z) = (x0 + x1 d + x2 d^2, z0 + z1 d + z2 d^2) [m]; z from the limbus plane, all even in x. Beyond the
+    [columns], which reaches as far as the frame does, and behind, [columns, RAYS] vectors (a, x, z) [m]: at the
+    apparent height a, which falls from ray to ray, the camera sees the point (x, z) of the lit plane; z from the limbus plane, all even in x. Beyond the
     limbus the surface goes on straight, at the slope of the undeformed cap.
     """
 
@@ -65,7 +65,7 @@ class Surface:
         self.slope = ti.field(real(), self.count)
         self.posterior = ti.field(real(), self.count)
         self.apparent = ti.field(real(), self.columns)
-        self.behind = ti.Vector.field(7, real(), self.columns)
+        self.behind = ti.Vector.field(3, real(), (self.columns, RAYS))
         self.thickness = ti.field(real(), self.count)
         self.thickness.from_numpy(thickness(scene, np.arange(self.count) * self.spacing))
 
@@ -95,15 +95,10 @@ class Surface:
         for k in range(self.columns):
             x = k * self.spacing
             y = self.trace(x)
-            first = self.enter(x, y)
-            second = self.enter(x, y + DEEPER[0])
-            third = self.enter(x, y + DEEPER[1])
-            self.apparent[k] = first[0]
-            d1 = second[0] - first[0]
-            d2 = third[0] - first[0]
-            x1, x2 = parabola(d1, second[2] - first[2], d2, third[2] - first[2])
-            z1, z2 = parabola(d1, second[3] - first[3], d2, third[3] - first[3])
-            self.behind[k] = ti.Vector([first[0], first[3], z1, z2, first[2], x1, x2])
+            for n in range(RAYS):
+                ray = self.enter(x, y + n * RAY_STEP)
+                self.behind[k, n] = ti.Vector([ray[0], ray[2], ray[3]])
+            self.apparent[k] = self.behind[k, 0][0]
 
     @ti.func
     def at(self, table: ti.template(), r):
@@ -112,6 +107,19 @@ class Surface:
         t = abs(r) * (1.0 / self.spacing)
         k = ti.math.clamp(ti.cast(t, ti.i32), 0, table.shape[0] - 2)
         return table[k] + (t - k) * (table[k + 1] - table[k])
+
+    @ti.func
+    def through(self, x, apparent):
+        """The point (x, z) of the lit plane that column x shows at an apparent height [m], straight on beyond
+        the last ray."""
+        k = ti.math.clamp(ti.cast(abs(x) * (1.0 / self.spacing) + 0.5, ti.i32), 0, self.columns - 1)
+        n = 0
+        while n < RAYS - 2 and self.behind[k, n + 1][0] > apparent:
+            n += 1
+        a = self.behind[k, n]
+        b = self.behind[k, n + 1]
+        seen = a + (b - a) * ((apparent - a[0]) / ti.min(b[0] - a[0], -1e-9))
+        return ti.Vector([seen[1] + abs(x) - k * self.spacing, seen[2]])
 
     @ti.func
     def tangent(self, wall: ti.template(), i):
@@ -200,13 +208,6 @@ class Surface:
             y1 = y2
             ray = self.enter(x, y1)
         return y1
-
-
-@ti.func
-def parabola(d1, v1, d2, v2):
-    """Coefficients of d and d^2 of the parabola through (0, 0), (d1, v1) and (d2, v2)."""
-    second = (v2 / d2 - v1 / d1) / (d2 - d1)
-    return v1 / d1 - second * d1, second
 
 
 @ti.func
