@@ -56,9 +56,11 @@ def test_rim_is_seen_thicker_where_the_scene_says_so(synthetic_eye):
 
 
 def test_specks_are_rare_seeded_and_on_the_line(synthetic_eye):
-    found = []
+    eye = synthetic_eye(["camera.noise=false", "camera.stamp=false"])
+    view, found = Scheimpflug(eye.scene), []
     for k in range(60):
-        with_specks = frame(synthetic_eye, "camera.specks=true", time_ms=k * 0.2315)
+        eye.state.time_ms = k * 0.2315
+        with_specks = view.render(eye.state).astype(float)
         lit = np.argwhere(with_specks > 200)
         if len(lit):
             found.append(k)
