@@ -41,6 +41,7 @@ POSTERIOR_SIGMA_PX = 2.55
 POSTERIOR_FROM_PX = 6.0
 LINE_AT_PX, LINE_SIGMA_PX = 4.5, 2.2
 POSTERIOR_BAND_PX = 9.0, 34.0
+POSTERIOR_SHARES = 0.75, 1.6   # of the usual depth in the middle
 POSTERIOR_STRAY_PX = 3.0
 POSTERIOR_OUTLIER_PX = 2.0
 
@@ -213,7 +214,11 @@ def _fall(offset: np.ndarray, straight: np.ndarray) -> np.ndarray:
         part = level[:, here]
         spread = (part**2).sum(axis=1) - (np.einsum("dk,fdg->fkg", basis, part) ** 2).sum(axis=1)
         misfit[index] = spread / (len(step) - 5)
-    # noise makes second minima: the search is held near the median of the neighbouring frames and groups
+    # noise and the stroma's own fading make second minima: the search is held near the usual depth of the middle third,
+    # which the sides exceed by up to a half, then near the median of the neighbouring frames and groups
+    third = slice(groups // 3, groups - groups // 3)
+    typical = np.median(candidates[misfit[:, :, third].argmin(axis=0)])
+    misfit[(candidates < POSTERIOR_SHARES[0] * typical) | (candidates > POSTERIOR_SHARES[1] * typical)] = np.inf
     usual = median_filter(candidates[misfit.argmin(axis=0)], size=(9, 9), mode="nearest")
     misfit[np.abs(candidates[:, None, None] - usual) > POSTERIOR_STRAY_PX] = np.inf
     best = np.clip(misfit.argmin(axis=0), 1, len(candidates) - 2)

@@ -114,7 +114,7 @@ def plot_page(path: Path, name: str, curves: Curves, history: Histories, respons
     shape.set_aspect("equal")
     shape.set_xlabel("x (mm)")
     shape.set_ylabel("height (mm)")
-    shape.legend(frameon=False, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.25), ncols=4)
+    shape.legend(frameon=False, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.02), ncols=4)
 
     map_ = axes[2, 1]
     limit = max(float(np.nanmax(np.abs(history.deflection_mm))), 1e-3)
