@@ -27,7 +27,7 @@ from taichi_eye.solver.simulation import Simulation, cloud_of
 from taichi_eye.units import MM
 
 KEPT_FRAMES = 300  # frames held for the sheet and the GIF; a longer film is thinned
-GIF_WIDTH_PX = 480
+GIF_WIDTH_PX, GIF_STRIDE, GIF_COLOURS = 480, 3, 128  # small enough for a README
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class _Recorder:
         if frame % self.stride == 0 or frame == scene.camera.frame_count - 1:
             slit = image if view.kind == "scheimpflug" else view.scheimpflug_frame(state)
             self.frames.append((simulation.time_ms, slit.copy()))
-            if scene.output.gif:
+            if scene.output.gif and frame % (GIF_STRIDE * self.stride) == 0:
                 self.colour_frames.append(image.copy())
         if self.paraview is not None:
             count, walls = simulation.cloud.count, simulation.cloud.wall_count
@@ -153,8 +153,8 @@ class _Recorder:
                       for wanted in sheet_times(history, float(times[-1]))]
             plot_sheet(self.folder / "sheet.png", chosen)
         if self.colour_frames:
-            write_gif(self.colour_frames, self.folder / "film.gif", fps=self.scene.output.film_fps / self.stride,
-                      width_px=GIF_WIDTH_PX)
+            write_gif(self.colour_frames, self.folder / "film.gif", width_px=GIF_WIDTH_PX,
+                      fps=self.scene.output.film_fps / (GIF_STRIDE * self.stride), colours=GIF_COLOURS)
         self.clock["report_s"] = time.perf_counter() - before
         summary = _summary(simulation, traces, history, stop, self.clock, self.measured)
         write_text(self.folder / "summary.json", json.dumps(summary, indent=2) + "\n")

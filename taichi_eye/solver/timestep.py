@@ -1,14 +1,16 @@
 """The stable time step of the coupled scheme: the smallest of all its limits, times the user's `cfl`.
 
-    acoustic + dissipation  g / (c (0.6 + 0.9 alpha)): the leapfrog needs (w dt)^2/4 + d dt/2 <= 1, and the spectra of packed
-                            clouds have w up to 1.6 c/h and a dissipation d up to 3.4 alpha c/h, g about 0.8 h
+    acoustic + dissipation  g / (c (0.6 + 0.72 alpha h/g)): the leapfrog needs (w dt)^2/4 + d dt/2 <= 1, and the spectra
+                            of packed clouds have w up to 1.6 c/h and a dissipation d up to 3.4 alpha c/h, g about 0.8 h;
+                            under a dent w grows as 1/g, and d as h/g^2, since alpha c h stays
     viscous                 g^2 rho / (4 mu)
     membrane, in plane      L / sqrt((B + S1) / rho_s), B the tangent along the meridian: twice the stiffness at twice
                             the stretch, so it shrinks as the cornea dents
     membrane, transverse    L / sqrt(S1 / rho_s)
     coupling                2 sqrt(g rho_s h_wall / (rho c^2)): where a sweep of the iteration stops contracting
 
-g is the smallest distance between two nodes now, L the shortest element of the membrane, alpha the dissipation.
+g is the smallest distance between two nodes now, h the spacing, L the shortest element of the membrane, alpha the
+dissipation.
 """
 import math
 
@@ -20,7 +22,7 @@ def limits(figures: dict[str, float], scene) -> dict[str, float]:
     wall_mass = scene.cornea.density_kg_m3 * min(scene.cornea.thickness_mm, scene.cornea.limbus_thickness_mm) * 1e-3
     length = figures["membrane_step"] * figures["membrane_speed"]
     return {
-        "acoustic": gap / (c * (0.6 + 0.9 * numerics.dissipation)),
+        "acoustic": gap / (c * (0.6 + 0.72 * numerics.dissipation * numerics.spacing_mm * 1e-3 / gap)),
         "viscous": gap**2 * rho / (4.0 * mu) if mu > 0.0 else math.inf,
         "membrane in plane": figures["membrane_step"],
         "membrane transverse": length / max(figures["transverse_speed"], 1e-9),
