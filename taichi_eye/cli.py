@@ -1,4 +1,4 @@
-"""The command line: `taichi-eye run SCENE.toml`, and `verify`, `stability`, `claims`.
+"""The command line: `taichi-eye run SCENE.toml`, `analyze FILM`, and `verify`, `stability`, `claims`.
 
 Exit status: 0 done; 1 the run left its validity and was stopped (what was computed so far is in the run folder), or a
 row of `verify` failed; 2 bad input, nothing written; 130 interrupted.
@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from taichi_eye import backend
-from taichi_eye.errors import RunStopped, SceneError
+from taichi_eye.errors import FilmError, RunStopped, SceneError
 
 
 def parser() -> argparse.ArgumentParser:
@@ -28,6 +28,8 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--precision", choices=backend.PRECISIONS, default="f64", help="default: f64")
     run.add_argument("--threads", type=_threads, metavar="N", help="CPU threads (default: all)")
     run.add_argument("--quiet", action="store_true", help="no progress bar")
+    run.set_defaults(do=_run)
+    _add_analyze(commands)
     for name, what in (("verify", "compare the solver's kernels with exact answers"),
                        ("stability", "map where the methods fail, with the theory drawn on"),
                        ("claims", "test the paper's claims in the model")):
@@ -36,7 +38,37 @@ def parser() -> argparse.ArgumentParser:
         proof.add_argument("--json", metavar="FILE", help="the figures as JSON")
         proof.add_argument("--out", metavar="DIR", help="folder of the page, new or empty (default: under renders/)")
         proof.add_argument("--threads", type=_threads, metavar="N", help="CPU threads (default: all)")
+        proof.set_defaults(do=_prove)
     return top
+
+
+def _add_analyze(commands) -> None:
+    analyze = commands.add_parser("analyze", help="measure a Corvis ST film, recorded or computed",
+                                  description="Find the edges of the cornea in a film, a folder of images or a run, undo "
+                                  "refraction and write the dynamic corneal response: parameters.csv, parameters.json, "
+                                  "histories.csv, edges.npz, overlay.mp4, analysis.png.")
+    analyze.add_argument("film", metavar="FILM|FOLDER|RUN", help="film (mp4, avi, ...), folder of images, or run folder")
+    analyze.add_argument("--out", metavar="DIR", help="results folder, new or empty (default: a new one under renders/)")
+    for flag, unit, text in (("--pixel-x-mm", "MM", "width of a pixel (default 0.015625)"),
+                             ("--pixel-y-mm", "MM", "height of a pixel (default 0.0165)"),
+                             ("--frame-interval-ms", "MS", "time between frames (default 0.2315)"),
+                             ("--angle-deg", "DEG", "camera to slit plane (default 45)"),
+                             ("--refractive-index", "N", "of the cornea (default 1.376)"),
+                             ("--biop-mmhg", "MMHG", "pressure of the eye, for SP-A1"),
+                             ("--iop-nct-mmhg", "MMHG", "pressure that the instrument shows; with --age-years, for SP-A1"),
+                             ("--age-years", "YEARS", "see --iop-nct-mmhg")):
+        analyze.add_argument(flag, type=_positive, metavar=unit, help=text)
+    analyze.set_defaults(do=_analyze)
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
+    return value
 
 
 def _threads(text: str) -> int:
@@ -49,8 +81,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     given = parser().parse_args(arguments)
     try:
-        return _run(given) if given.command == "run" else _prove(given)
-    except (SceneError, backend.BackendError) as error:
+        return given.do(given)
+    except (SceneError, FilmError, backend.BackendError) as error:
         print(f"taichi-eye: {error}", file=sys.stderr)
         return 2
     except RunStopped as error:
@@ -84,3 +116,15 @@ def _prove(given) -> int:
         raise SceneError(f"--only {unknown[0]}: {given.command} has {', '.join(proof.PARTS)}")
     backend.init("cpu", "f64", given.threads)
     return 0 if proof.report(given.only, given.out, given.json) else 1
+
+
+def _analyze(given) -> int:
+    from taichi_eye.analysis import analyze, table
+
+    options = {name: value for name, value in vars(given).items() if name not in ("command", "do", "film", "out")}
+    result = analyze(given.film, given.out, **options)
+    print(table(result))
+    for note in result.notes:
+        print(f"note: {note}")
+    print(f"{result.folder}: parameters, histories, overlay film and plots of {len(result.film.frames)} frames")
+    return 0

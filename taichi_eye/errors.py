@@ -1,4 +1,4 @@
-"""The two errors that a user of taichi_eye meets: a scene that cannot be, and a run that left its validity."""
+"""The errors that a user of taichi_eye meets: a scene that cannot be, a run that left its validity, a film that cannot be read."""
 
 from __future__ import annotations
 
@@ -32,3 +32,7 @@ class RunStopped(Exception):
 
     def __str__(self) -> str:
         return f"stopped at {self.time_ms:.4f} ms: {self.what} ({self.where}). {self.advice}"
+
+
+class FilmError(Exception):
+    """A film, folder or run that cannot be read or measured; the message says what is missing."""

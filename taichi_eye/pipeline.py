@@ -1,6 +1,6 @@
 """From a scene to a run folder: simulate, film while it runs, report.
 
-The folder holds film.mp4, apex.png, sheet.png, traces.csv, summary.json and scene.toml; on request film.gif, the folder
+The folder holds film.mp4, apex.png, sheet.png, traces.csv, wall.npz, summary.json and scene.toml; on request film.gif, the folder
 frames/ with a PNG per frame, and fields/ for ParaView. Every file appears whole or not at all. A run that a guard stops
 or the user interrupts leaves the same files up to that time, and its summary says so.
 """
@@ -15,14 +15,16 @@ from tqdm import tqdm
 
 from taichi_eye import backend
 from taichi_eye.errors import RunStopped
+from taichi_eye.eye.globe import retreat_mm
 from taichi_eye.film import FilmView, FilmWriter, FrameState, write_gif
 from taichi_eye.report.compare import Measured, differences, read_measured
 from taichi_eye.report.folder import create_run_folder, write_text
 from taichi_eye.report.history import summarise
 from taichi_eye.report.plots import plot_apex, plot_sheet, sheet_times
-from taichi_eye.report.traces import write_traces
+from taichi_eye.report.traces import write_traces, write_wall
 from taichi_eye.scene import Scene, dump_scene
 from taichi_eye.solver.simulation import Simulation, cloud_of
+from taichi_eye.units import MM
 
 KEPT_FRAMES = 300  # frames held for the sheet and the GIF; a longer film is thinned
 GIF_WIDTH_PX, GIF_STRIDE, GIF_COLOURS = 480, 3, 128  # small enough for a README
@@ -62,6 +64,7 @@ class _Recorder:
         self.scene, self.folder, self.measured, self.progress = scene, folder, measured, progress
         self.frames: list[tuple[float, np.ndarray]] = []
         self.colour_frames: list[np.ndarray] = []
+        self.walls: list[tuple[float, np.ndarray]] = []
         self.stride = math.ceil(scene.camera.frame_count / KEPT_FRAMES)
         self.clock: dict[str, float] = {}
         self.paraview = None
@@ -108,13 +111,17 @@ class _Recorder:
 
     def _film(self, simulation, view, film, frame):
         scene, traces = self.scene, simulation.traces
+        retreat = float(retreat_mm(scene, simulation.time_ms))
         state = FrameState(
             time_ms=simulation.time_ms, wall=simulation.cornea.place, wall_count=simulation.cloud.wall_count,
             nodes=simulation.aqueous.place, node_count=simulation.cloud.count, pressure=simulation.aqueous.pressure,
             velocity=simulation.aqueous.velocity, trace_time_ms=np.array(traces["time_ms"]),
-            trace_apex_mm=np.array(traces["apex_displacement_mm"]), trace_puff_kpa=np.array(traces["puff_apex_kpa"]))
+            trace_apex_mm=np.array(traces["apex_displacement_mm"]), trace_puff_kpa=np.array(traces["puff_apex_kpa"]),
+            retreat_mm=retreat)
         image = view.render(state)
         film.write(image, simulation.time_ms)
+        wall = simulation.cornea.place.to_numpy()[:simulation.cloud.wall_count] / MM
+        self.walls.append((simulation.time_ms, wall - [0.0, retreat]))
         if frame % self.stride == 0 or frame == scene.camera.frame_count - 1:
             slit = image if view.kind == "scheimpflug" else view.scheimpflug_frame(state)
             self.frames.append((simulation.time_ms, slit.copy()))
@@ -135,6 +142,9 @@ class _Recorder:
             return RunResult(self.folder, {}, {})
         before = time.perf_counter()
         write_traces(self.folder / "traces.csv", traces)
+        if self.walls:
+            times, walls = zip(*self.walls)
+            write_wall(self.folder / "wall.npz", np.array(times), np.array(walls))
         plot_apex(self.folder / "apex.png", traces, self.measured)
         history = summarise(traces["time_ms"], traces["apex_displacement_mm"])
         if self.frames:

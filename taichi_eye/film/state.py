@@ -25,6 +25,7 @@ class FrameState:
         trace_puff_kpa: load on the apex at these times [kPa].
         puff_radial: load now on the wall nodes, shape [wall_count], in any unit (only its shape along the
             wall is drawn), or None for the scene's profile.
+        retreat_mm: of the whole eye from the camera, added in the slit image.
     """
 
     time_ms: float
@@ -38,3 +39,4 @@ class FrameState:
     trace_apex_mm: np.ndarray
     trace_puff_kpa: np.ndarray
     puff_radial: np.ndarray | None = None
+    retreat_mm: float = 0.0

@@ -10,21 +10,28 @@ x = const, from far away (parallel rays). A ray that enters the surface at Q = (
 bends by Snell's law at the surface's normal there and meets the lit plane in a point P; the image shows P
 where the straight air ray through Q meets that plane, (x, 0, z_Q - y / tan(angle)). For every radius the
 entry point whose P lies on the posterior surface (the anterior one moved inwards along its normals by the
-thickness) is found by secants. For a flat surface apparent/true depth is
+thickness there) is found by secants. For a flat surface apparent/true depth is
 tan(asin(sin(angle)/n))/tan(angle).
+
+What lies deeper, iris and lens, is seen through the same surface: further rays of a column, each entering a little
+further down, give P over the apparent height by linear interpolation. The aqueous humour counts as cornea there (1.336 against
+1.376: 3 % of the depth).
 """
 from math import ceil, cos, radians, sin, sqrt
 
+import numpy as np
 import taichi as ti
 
 from taichi_eye.backend import real
 from taichi_eye.eye.section import Section
+from taichi_eye.eye.thickness import thickness
 
 SLOPE_MAX = 4.0        # dz/dr beyond which the table no longer follows an overhang
 POSTERIOR_STEPS = 12   # fixed point on the normal's foot; contracts by thickness over radius of curvature
 SECANT_STEPS = 8
 TOLERANCE = 1e-6       # of both, in thicknesses
-MARGIN_MM = 1.2        # table beyond what is drawn: entry points and feet of normals lie outside their column
+RAYS, RAY_STEP = 7, 0.5e-3  # rays of a column behind the posterior surface, and between their entry points [m]
+MARGIN_MM = 2.0        # table beyond what is drawn: entry points and feet of normals lie outside their column
 
 
 @ti.data_oriented
@@ -32,7 +39,8 @@ class Surface:
     """Tables over r = k * spacing of the anterior height and slope and of the apparent posterior height.
 
     Fields: height [m], slope [-] and posterior [m] (true height) of shape [count], apparent [m] of shape
-    [columns], which reaches as far as the frame does; z from the limbus plane, all even in x. Beyond the
+    [columns], which reaches as far as the frame does, and behind, [columns, RAYS] vectors (a, x, z) [m]: at the
+    apparent height a, which falls from ray to ray, the camera sees the point (x, z) of the lit plane; z from the limbus plane, all even in x. Beyond the
     limbus the surface goes on straight, at the slope of the undeformed cap.
     """
 
@@ -45,7 +53,6 @@ class Surface:
         self.spacing = spacing_mm * 1e-3
         self.columns = ceil(half_width_mm / spacing_mm) + 2
         self.count = ceil(extent_mm / spacing_mm) + 2
-        self.thickness = cornea.thickness_mm * 1e-3
         self.index_ratio = 1.0 / camera.refractive_index
         self.sin_angle = sin(radians(camera.angle_deg))
         self.cos_angle = cos(radians(camera.angle_deg))
@@ -58,6 +65,9 @@ class Surface:
         self.slope = ti.field(real(), self.count)
         self.posterior = ti.field(real(), self.count)
         self.apparent = ti.field(real(), self.columns)
+        self.behind = ti.Vector.field(3, real(), (self.columns, RAYS))
+        self.thickness = ti.field(real(), self.count)
+        self.thickness.from_numpy(thickness(scene, np.arange(self.count) * self.spacing))
 
     def update(self, wall: ti.MatrixField, wall_count: int) -> None:
         """Resample the wall and trace the posterior surface; gathers only, the same bits on any thread
@@ -75,15 +85,20 @@ class Surface:
             foot = x
             for _ in range(POSTERIOR_STEPS):
                 s = self.at(self.slope, foot)
-                moved = x - self.thickness * s / ti.sqrt(1.0 + s * s)
+                moved = x - self.at(self.thickness, foot) * s / ti.sqrt(1.0 + s * s)
                 change = moved - foot
                 foot = moved
-                if abs(change) < TOLERANCE * self.thickness:
+                if abs(change) < TOLERANCE * self.thickness[0]:
                     break
             s = self.at(self.slope, foot)
-            self.posterior[k] = self.at(self.height, foot) - self.thickness / ti.sqrt(1.0 + s * s)
+            self.posterior[k] = self.at(self.height, foot) - self.at(self.thickness, foot) / ti.sqrt(1.0 + s * s)
         for k in range(self.columns):
-            self.apparent[k] = self.trace(k * self.spacing)
+            x = k * self.spacing
+            y = self.trace(x)
+            for n in range(RAYS):
+                ray = self.enter(x, y + n * RAY_STEP)
+                self.behind[k, n] = ti.Vector([ray[0], ray[2], ray[3]])
+            self.apparent[k] = self.behind[k, 0][0]
 
     @ti.func
     def at(self, table: ti.template(), r):
@@ -92,6 +107,19 @@ class Surface:
         t = abs(r) * (1.0 / self.spacing)
         k = ti.math.clamp(ti.cast(t, ti.i32), 0, table.shape[0] - 2)
         return table[k] + (t - k) * (table[k + 1] - table[k])
+
+    @ti.func
+    def through(self, x, apparent):
+        """The point (x, z) of the lit plane that column x shows at an apparent height [m], straight on beyond
+        the last ray."""
+        k = ti.math.clamp(ti.cast(abs(x) * (1.0 / self.spacing) + 0.5, ti.i32), 0, self.columns - 1)
+        n = 0
+        while n < RAYS - 2 and self.behind[k, n + 1][0] > apparent:
+            n += 1
+        a = self.behind[k, n]
+        b = self.behind[k, n + 1]
+        seen = a + (b - a) * ((apparent - a[0]) / ti.min(b[0] - a[0], -1e-9))
+        return ti.Vector([seen[1] + abs(x) - k * self.spacing, seen[2]])
 
     @ti.func
     def tangent(self, wall: ti.template(), i):
@@ -141,8 +169,8 @@ class Surface:
 
     @ti.func
     def enter(self, x, y):
-        """The camera ray that enters at (x, y): its apparent height, and how far above the posterior
-        surface it meets the lit plane [m]."""
+        """The camera ray that enters at (x, y): its apparent height, how far above the posterior surface it
+        meets the lit plane, and the x and z where it does [m]."""
         rho = ti.sqrt(x * x + y * y)
         z = self.at(self.height, rho)
         s = self.at(self.slope, rho)
@@ -159,25 +187,27 @@ class Surface:
         tz = -self.index_ratio * self.cos_angle + bend * nz
         run = y / ti.max(-ty, 1e-3)
         apparent = z - y * self.cos_angle / self.sin_angle
-        return ti.Vector([apparent, z + run * tz - self.at(self.posterior, x + run * tx)])
+        px = x + run * tx
+        pz = z + run * tz
+        return ti.Vector([apparent, pz - self.at(self.posterior, px), px, pz])
 
     @ti.func
     def trace(self, x):
-        """Apparent height of the posterior surface in column x."""
+        """Where (y) the ray enters that shows the posterior surface in column x."""
         y0 = 0.0 * x
         gap0 = self.enter(x, y0)[1]
         y1 = self.flat_ratio * gap0 * self.sin_angle / self.cos_angle
         ray = self.enter(x, y1)
         for _ in range(SECANT_STEPS):
             change = ray[1] - gap0
-            if abs(ray[1]) < TOLERANCE * self.thickness or change == 0.0:
+            if abs(ray[1]) < TOLERANCE * self.thickness[0] or change == 0.0:
                 break
             y2 = ti.max(y1 - ray[1] * (y1 - y0) / change, 0.0)
             y0 = y1
             gap0 = ray[1]
             y1 = y2
             ray = self.enter(x, y1)
-        return ray[0]
+        return y1
 
 
 @ti.func

@@ -1,4 +1,4 @@
-"""traces.csv: the history of a run, one row per recorded time."""
+"""traces.csv, the history of a run, one row per recorded time, and wall.npz, the membrane at every frame."""
 
 from __future__ import annotations
 
@@ -47,3 +47,12 @@ def read_traces(path: Path) -> dict[str, np.ndarray]:
         header, *rows = csv.reader(file)
     return {name: np.array([row[i] for row in rows], dtype=float).astype(int if name in WHOLE else float)
             for i, name in enumerate(header)}
+
+
+def write_wall(path: Path, time_ms: np.ndarray, places_mm: np.ndarray) -> None:
+    """Write the membrane's nodes at the film's frames: time_ms [frames], places (r, z) [frames, nodes, 2] in mm.
+
+    The file holds time_ms, r_mm and z_mm, apex first, and is whole or absent.
+    """
+    with replacing(path) as temporary:
+        np.savez_compressed(temporary, time_ms=time_ms, r_mm=places_mm[:, :, 0], z_mm=places_mm[:, :, 1])

@@ -51,6 +51,8 @@ def _exponent(draft: Draft) -> None:
 def _tissue(draft: Draft) -> None:
     """Solve the rest condition for the tissue constant left open, or check it where none is."""
     a, k, eps0 = names = "cornea.stiffness_a_pa", "cornea.exponent_k", "cornea.prestrain"
+    if draft["cornea.limbus_thickness_mm"] == AUTO:
+        draft.values["cornea.limbus_thickness_mm"] = draft["cornea.thickness_mm"]
     s0 = rest_stress(draft["eye.iop_mmhg"] * MMHG, draft["cornea.radius_mm"] * MM, draft["cornea.thickness_mm"] * MM)
     if all(draft.given(name) for name in names):
         exponent = 2.0 * draft[k] * draft[eps0] ** 2

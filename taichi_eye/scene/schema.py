@@ -55,6 +55,8 @@ class Eye:
     """The eye at rest"""
 
     iop_mmhg: float = key(15.0, "intraocular pressure over atmosphere", unit="mmHg", at_least=1, at_most=100)
+    whole_eye_movement_mm: float = key(0.0, "largest retreat of the globe, over the measured course; 0: it stays",
+                                       unit="mm", at_least=0, at_most=2)
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,9 @@ class Cornea:
 
     radius_mm: float = key(7.8, "radius of the cap at rest (R)", unit="mm", above=0, at_most=100)
     limbus_radius_mm: float = key(5.8, "radius of the fixed rim, below radius_mm", unit="mm", above=0, below=100)
-    thickness_mm: float = key(0.55, "thickness (h)", unit="mm", above=0, at_most=2)
+    thickness_mm: float = key(0.55, "thickness (h), on the axis", unit="mm", above=0, at_most=2)
+    limbus_thickness_mm: float = key(AUTO, "thickness at the rim, a parabola in between; auto: that on the axis",
+                                     unit="mm", above=0, at_most=2)
     density_kg_m3: float = key(1050.0, "density of the tissue", unit="kg/m^3", at_least=100, at_most=10000)
     stiffness_a_pa: float = key(AUTO, "energy scale A; auto: 1562, or what k and the prestrain ask for",
                                 unit="Pa", above=0, at_most=1e9)
@@ -149,6 +153,14 @@ class Camera:
     refractive_index: float = key(1.376, "of the cornea; shortens what lies behind its front", at_least=1, at_most=2)
     apex_column_px: int = key(288, "image column of the axis", unit="px", at_least=0, at_most=4095)
     apex_row_px: int = key(16, "image row of the apex at rest", unit="px", at_least=0, at_most=4095)
+    optics: str = key("full", "what the instrument's camera sees, or a plain band between the two edges",
+                      choices=("full", "plain"))
+    epithelium: bool = key(True, "bright anterior line")
+    stroma: bool = key(True, "scatter of the stroma")
+    iris: bool = key(True, "iris beside the pupil")
+    lens: bool = key(True, "haze of the lens")
+    fall_off: bool = key(True, "slit light fainter towards the sides")
+    specks: bool = key(True, "rare specular specks on the anterior line")
     noise: bool = key(True, "grain of the sensor")
     seed: int = key(1, "seed of the grain", at_least=0, at_most=2**31 - 1)
     stamp: bool = key(True, "time stamp in the image")

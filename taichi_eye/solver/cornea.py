@@ -51,38 +51,44 @@ class Cornea:
         self.force_solid, self.force_air, self.tension = vector(), vector(), vector()
         self.mass, self.hoop, self.load_shape, self.air_pressure = scalar(), scalar(), scalar(), scalar()
         self.element_length, self.element_radius, self.element_volume = scalar(), scalar(), scalar()
+        self.prestrain = scalar()
         self.stress = vector()
-        self.material = ti.field(fp, 4)  # A [Pa], s, nu, eps0
+        self.material = ti.field(fp, 3)  # A [Pa], s, nu
         self.iop = ti.field(fp, ())
         self.puff_work = ti.field(fp, ())
 
-    def setup(self, nodes, thickness: float, density: float, material, iop: float, load_shape) -> None:
+    def setup(self, nodes, thickness, density: float, material, iop: float, load_shape) -> None:
         """Place the membrane at rest.
 
         nodes [n, 2] (m), apex first; thickness (m); density (kg/m^3); material (A in Pa, s, nu, eps0); iop (Pa);
-        load_shape [n]: the puff's pressure at each node relative to its pressure on the axis.
+        load_shape [n]: the puff's pressure at each node relative to its pressure on the axis. Thickness and eps0 may
+        be one number or one per element, [n - 1].
         """
         count = len(nodes)
+        thickness = np.broadcast_to(np.asarray(thickness, dtype=float), count - 1)
         length = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
         radius = 0.5 * (nodes[1:, 0] + nodes[:-1, 0])
         ring = np.zeros(count)
         # half an element on either side of a node
-        ring[:-1] += np.pi * length * (0.75 * nodes[:-1, 0] + 0.25 * nodes[1:, 0])
-        ring[1:] += np.pi * length * (0.25 * nodes[:-1, 0] + 0.75 * nodes[1:, 0])
+        ring[:-1] += thickness * np.pi * length * (0.75 * nodes[:-1, 0] + 0.25 * nodes[1:, 0])
+        ring[1:] += thickness * np.pi * length * (0.25 * nodes[:-1, 0] + 0.75 * nodes[1:, 0])
         volume = thickness * 2.0 * np.pi * radius * length
         if self.planar:
-            ring = 0.5 * (np.append(length, 0.0) + np.append(0.0, length))
+            ring = 0.5 * (np.append(thickness * length, 0.0) + np.append(0.0, thickness * length))
             volume = thickness * length
         shape = np.asarray(load_shape, dtype=float)
-        self._load(np.ascontiguousarray(nodes), density * thickness * ring, length, radius, volume, shape, *material, iop)
+        *constants, prestrain = material
+        eps0 = np.broadcast_to(np.asarray(prestrain, dtype=float), length.shape)
+        self._load(np.ascontiguousarray(nodes), density * ring, length, radius, volume, np.ascontiguousarray(eps0), shape,
+                   *constants, iop)
         self._store_rest_residual()
 
     @ti.kernel
     def _load(self, nodes: ti.types.ndarray(), mass: ti.types.ndarray(), length: ti.types.ndarray(),
-              radius: ti.types.ndarray(), volume: ti.types.ndarray(), load_shape: ti.types.ndarray(),
-              stiffness: float, s: float, nu: float, prestrain: float, iop: float):
+              radius: ti.types.ndarray(), volume: ti.types.ndarray(), prestrain: ti.types.ndarray(),
+              load_shape: ti.types.ndarray(), stiffness: float, s: float, nu: float, iop: float):
         self.elements[None] = nodes.shape[0] - 1
-        self.material[0], self.material[1], self.material[2], self.material[3] = stiffness, s, nu, prestrain
+        self.material[0], self.material[1], self.material[2] = stiffness, s, nu
         self.iop[None] = iop
         self.puff_work[None] = 0.0
         for i in range(nodes.shape[0]):
@@ -94,14 +100,14 @@ class Cornea:
             self.force_air[i], self.force_solid[i], self.residual[i] = zero, zero, zero
         for k in range(nodes.shape[0] - 1):
             self.element_length[k], self.element_radius[k] = length[k], radius[k]
-            self.element_volume[k] = volume[k]
+            self.element_volume[k], self.prestrain[k] = volume[k], prestrain[k]
 
     @ti.func
-    def stress_of(self, e):
-        """S1, S2 [Pa] and W [J/m^3] at the shifted strains e = (e1, e2)."""
+    def stress_of(self, e, shift):
+        """S1, S2 [Pa] and W [J/m^3] at the strains e = (e1, e2), shifted by `shift`."""
         if ti.static(self.law == "tension"):
             # W = S lam1 lam2: tension times area
-            lam1, lam2 = ti.sqrt(1.0 + 2.0 * (e[0] - self.material[3])), ti.sqrt(1.0 + 2.0 * (e[1] - self.material[3]))
+            lam1, lam2 = ti.sqrt(1.0 + 2.0 * (e[0] - shift)), ti.sqrt(1.0 + 2.0 * (e[1] - shift))
             return self.material[0] * ti.Vector([lam2 / lam1, lam1 / lam2]), self.material[0] * (lam1 * lam2 - 1.0)
         else:
             stiffness, s, nu = self.material[0], self.material[1], self.material[2]
@@ -125,13 +131,13 @@ class Cornea:
         edge = self.place[k + 1] - self.place[k]
         lam1_squared = edge.norm_sqr() / self.element_length[k] ** 2
         lam2 = self.hoop_stretch(k)
-        shift = self.material[3]
+        shift = self.prestrain[k]
         return ti.Vector([0.5 * (lam1_squared - 1.0) + shift, 0.5 * (lam2 * lam2 - 1.0) + shift])
 
     @ti.func
     def stretch_element(self, k):
         """Edge tension (N, along the edge, pulling node k outwards) and hoop force (N) of element k."""
-        stress, energy = self.stress_of(self.strain_of(k))
+        stress, energy = self.stress_of(self.strain_of(k), self.prestrain[k])
         edge = self.place[k + 1] - self.place[k]
         lam2 = self.hoop_stretch(k)
         self.stress[k] = stress
@@ -232,7 +238,7 @@ class Cornea:
         """Stored energy [J] relative to rest is this minus its value at rest: tissue plus dead load."""
         energy = 0.0
         for k in range(self.elements[None]):
-            stress, density = self.stress_of(self.strain_of(k))
+            stress, density = self.stress_of(self.strain_of(k), self.prestrain[k])
             energy += self.element_volume[k] * density
         for i in range(self.elements[None] + 1):
             energy += self.residual[i].dot(self.place[i] - self.rest[i])

@@ -13,6 +13,7 @@ from taichi_eye.cloud.packing import Cloud, pack
 from taichi_eye.cloud.quality import CloudQuality, measure
 from taichi_eye.eye.puff import Puff
 from taichi_eye.eye.section import Section
+from taichi_eye.eye.thickness import prestrain, thickness
 from taichi_eye.solver import guards, timestep
 from taichi_eye.solver.workspace import borrow
 from taichi_eye.units import MM, MMHG, MPA_S, MS
@@ -58,8 +59,9 @@ class Simulation:
         scene, cornea, numerics = self.scene, self.scene.cornea, self.scene.numerics
         nodes = self.section.cornea_nodes(self.cloud.wall_count - 1)
         s = cornea.exponent_k / (1.0 + cornea.poisson_ratio)
-        self.cornea.setup(nodes, cornea.thickness_mm * MM, cornea.density_kg_m3,
-                          (cornea.stiffness_a_pa, s, cornea.poisson_ratio, cornea.prestrain),
+        middle = 0.5 * (nodes[1:, 0] + nodes[:-1, 0])
+        self.cornea.setup(nodes, thickness(scene, middle), cornea.density_kg_m3,
+                          (cornea.stiffness_a_pa, s, cornea.poisson_ratio, prestrain(scene, middle)),
                           scene.eye.iop_mmhg * MMHG, self.puff.radial(nodes[:, 0]))
         self.aqueous.setup(self.cloud, scene.aqueous.density_kg_m3, scene.aqueous.viscosity_mpa_s * MPA_S,
                            numerics.sound_speed_m_s, numerics.dissipation, numerics.wall_condition == "no_slip")

@@ -89,13 +89,13 @@ class Survey:
             density = self.cornea.mass[1] / (0.5 * (self.cornea.element_volume[0] + self.cornea.element_volume[1]))
             for k in range(walls - 1):
                 strain = self.cornea.strain_of(k)
-                stress, energy = self.cornea.stress_of(strain)
+                stress, energy = self.cornea.stress_of(strain, self.cornea.prestrain[k])
                 if ti.min(stress[0], stress[1]) < least:
                     least, slackest = ti.min(stress[0], stress[1]), k
                 s, nu = self.cornea.material[1], self.cornea.material[2]
                 grown = 2.0 * s * (energy + self.cornea.material[0])
                 slope = (1.0 - nu) * strain[0] + nu * (strain[0] + strain[1])
-                stretch_squared = 2.0 * (strain[0] - self.cornea.material[3]) + 1.0
+                stretch_squared = 2.0 * (strain[0] - self.cornea.prestrain[k]) + 1.0
                 stiffness = grown * (1.0 + 2.0 * s * slope * slope) * stretch_squared + stress[0]
                 speed = ti.sqrt(ti.max(stiffness, 0.0) / density)
                 in_plane = ti.max(in_plane, speed)

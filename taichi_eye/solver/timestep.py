@@ -19,7 +19,7 @@ def limits(figures: dict[str, float], scene) -> dict[str, float]:
     """All limits [s] by name, from a survey's figures and a resolved scene."""
     gap, numerics = figures["smallest_gap"], scene.numerics
     c, rho, mu = numerics.sound_speed_m_s, scene.aqueous.density_kg_m3, scene.aqueous.viscosity_mpa_s * 1e-3
-    wall_mass = scene.cornea.density_kg_m3 * scene.cornea.thickness_mm * 1e-3
+    wall_mass = scene.cornea.density_kg_m3 * min(scene.cornea.thickness_mm, scene.cornea.limbus_thickness_mm) * 1e-3
     length = figures["membrane_step"] * figures["membrane_speed"]
     return {
         "acoustic": gap / (c * (0.6 + 0.72 * numerics.dissipation * numerics.spacing_mm * 1e-3 / gap)),

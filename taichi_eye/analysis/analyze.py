@@ -1,0 +1,148 @@
+"""From a film, a folder of images or a run folder to DCR parameters, tables, an overlay film and a page of plots."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from taichi_eye.analysis.curves import Curves, curves_from_edges
+from taichi_eye.analysis.edges import Edges, find_edges
+from taichi_eye.analysis.frames import Film, read_film
+from taichi_eye.analysis.norms import NORMS, z_scores
+from taichi_eye.analysis.pictures import plot_page, write_overlay
+from taichi_eye.analysis.response import Histories, Response, biop_surrogate_mmhg, histories, measured_puff_mmhg, respond
+from taichi_eye.errors import FilmError
+from taichi_eye.report.folder import create_run_folder, replacing, write_text
+
+ANTERIOR_MOVED_MIN_MM = 0.05
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """What a film shows: its edges, curves, histories and parameters; true_response and true_histories for a run that
+    kept its wall; notes: what a reader should know. folder: where files were written, or None."""
+
+    film: Film
+    edges: Edges
+    curves: Curves
+    histories: Histories
+    response: Response
+    true_histories: Histories | None
+    true_response: Response | None
+    notes: tuple[str, ...]
+    folder: Path | None = None
+
+
+def analyze(path: str | Path, out: str | Path | None = None, write: bool = True, iop_nct_mmhg: float | None = None,
+            age_years: float | None = None, biop_mmhg: float | None = None, **settings: float | None) -> Analysis:
+    """Measure a film, a folder of images or a run.
+
+    out: a new or empty folder for the results; None for renders/<name>-analysis-001, ... write: False for no files.
+    biop_mmhg: pressure of the eye, for SP-A1; or iop_nct_mmhg and age_years, from which it is estimated with the measured
+    thickness. settings: fields of `Instrument` that differ from the defaults. Raises FilmError where nothing can be
+    read, before anything is written; SceneError for a bad output folder.
+    """
+    film = read_film(path, **settings)
+    edges = find_edges(film.frames)
+    try:
+        curves = curves_from_edges(edges, film.time_ms, film.instrument)
+    except FilmError as error:
+        raise FilmError(f"{path}: {error}") from None
+    pressure = biop_mmhg if biop_mmhg is not None else film.iop_mmhg
+    interval = film.instrument.frame_interval_ms
+    puff = measured_puff_mmhg
+    if film.puff_mmhg is not None:
+        puff = lambda t: float(np.interp(t, *film.puff_mmhg))  # noqa: E731
+    response = respond(curves, interval, pressure, puff)
+    if pressure is None and None not in (iop_nct_mmhg, age_years, response.central_thickness_um):
+        pressure = biop_surrogate_mmhg(iop_nct_mmhg, response.central_thickness_um, age_years)
+        response = respond(curves, interval, pressure, puff)
+    history = histories(curves)
+    notes = [f"frame times from {film.timed_by}", *curves.notes]
+    if response.deformation_amplitude_mm is None:
+        notes.append(f"the cornea moves less than {ANTERIOR_MOVED_MIN_MM} mm: no parameters of an air puff")
+    elif response.a1_time_ms is None or response.a2_time_ms is None:
+        notes.append("an applanation is missing: the film ends early, starts late, or the dent stays convex")
+    true_history = true_response = None
+    if film.truth is not None:
+        true_history = histories(film.truth)
+        true_response = respond(film.truth, interval, pressure, puff)
+    result = Analysis(film, edges, curves, history, response, true_history, true_response, tuple(notes))
+    if not write:
+        return result
+    folder = create_run_folder(out, f"{film.name}-analysis")
+    write_results(result, folder)
+    return Analysis(**{**vars(result), "folder": folder})
+
+
+def write_results(result: Analysis, folder: Path) -> None:
+    """parameters.csv and .json, histories.csv, edges.npz, overlay.mp4 and analysis.png into a folder."""
+    film, curves, history = result.film, result.curves, result.histories
+    scores = z_scores(result.response)
+    populations = list(NORMS)
+    with replacing(folder / "parameters.csv") as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(["parameter", "value"] + (["computed"] if result.true_response else [])
+                      + [f"{what}_{population}" for population in populations for what in ("mean", "sd", "z")])
+        for f in fields(Response):
+            value = getattr(result.response, f.name)
+            row = [f.name, _figure(value)]
+            row += [_figure(getattr(result.true_response, f.name))] if result.true_response else []
+            for population in populations:
+                mean, deviation = NORMS[population].get(f.name, ("", ""))
+                z = scores.get(f.name, {}).get(population)
+                row += [mean, deviation, "" if z is None else f"{z:.2f}"]
+            rows.writerow(row)
+    report = {
+        "source": film.name, "frames": len(film.frames), "notes": list(result.notes),
+        "instrument": asdict(film.instrument), "axis_column_px": curves.axis_column_px,
+        "apex_row_px": curves.apex_row_px, "tilt_deg": curves.tilt_deg, "parameters": asdict(result.response),
+        "computed": None if result.true_response is None else asdict(result.true_response), "z_scores": scores,
+    }
+    write_text(folder / "parameters.json", json.dumps(report, indent=2, allow_nan=False) + "\n")
+    thickness = curves.thickness_mm if curves.thickness_mm is not None else np.full(len(history.time_ms), np.nan)
+    columns = {"time_ms": history.time_ms, "apex_deformation_mm": history.apex_mm,
+               "apex_deflection_mm": history.apex_mm - history.whole_eye_mm,
+               "whole_eye_movement_mm": history.whole_eye_mm, "apex_velocity_m_s": history.velocity_m_s,
+               "curvature_per_mm": history.curvature_per_mm, "central_thickness_mm": thickness}
+    with replacing(folder / "histories.csv") as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(columns)
+        rows.writerows([_figure(value) for value in row] for row in zip(*columns.values()))
+    with replacing(folder / "edges.npz") as temporary:
+        np.savez_compressed(temporary, time_ms=film.time_ms, anterior_px=result.edges.anterior,
+                            posterior_px=result.edges.posterior, posterior_column_px=result.edges.posterior_column,
+                            curve_time_ms=curves.time_ms, x_mm=curves.x_mm, height_mm=curves.height_mm)
+    write_overlay(folder / "overlay.mp4", film.frames, film.time_ms, result.edges, curves, history, result.response)
+    plot_page(folder / "analysis.png", film.name, curves, history, result.response, result.true_histories)
+
+
+def table(result: Analysis) -> str:
+    """The parameters as text, with the computed ones of a run and the z-scores beside them."""
+    scores = z_scores(result.response)
+    populations = list(NORMS)
+    computed = result.true_response is not None
+    lines = [f"{'parameter':34}{'measured':>10}" + (f"{'computed':>10}" if computed else "")
+             + "".join(f"{'z ' + population:>11}" for population in populations)]
+    for f in fields(Response):
+        value = getattr(result.response, f.name)
+        line = f"{f.name:34}{_cell(value):>10}"
+        if computed:
+            line += f"{_cell(getattr(result.true_response, f.name)):>10}"
+        for population in populations:
+            z = scores.get(f.name, {}).get(population)
+            line += f"{'' if z is None else f'{z:+.1f}':>11}"
+        lines.append(line.rstrip())
+    return "\n".join(lines)
+
+
+def _cell(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
+
+
+def _figure(value: float | None) -> str:
+    return "" if value is None or not np.isfinite(value) else f"{value:.6g}"

@@ -1,0 +1,244 @@
+"""Corneal curves over time, from the edges of a film or from the membrane of a simulation, in one form.
+
+Axes: x along the slit, 0 on the axis of the eye; heights up from the apex at rest; mm and ms. The axis of a film is the
+line about which the displacement at the deepest frame is most symmetric: an eye off the centre of the frame needs no
+visible pole for it. The slope of the resting surface on that axis is the tilt of the eye, and the curves are turned back by it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import atan, cos, degrees, sin
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from taichi_eye.analysis import optics
+from taichi_eye.analysis.edges import Edges
+from taichi_eye.errors import FilmError
+
+X_STEP_MM, X_REACH_MM = 0.02, 4.5
+SMOOTH_MM = 0.62             # length of the cubic that smooths a curve
+REST_MS = 1.2                # frames that make up the resting shape
+SYMMETRY_MM = 2.2            # reach of the symmetry that gives the axis
+MOVED_MM = 0.05
+FOUND_MIN = 0.6              # share of the central columns with an edge, for a frame to count
+CENTRAL_MM = 0.6             # half width of the zone of the central thickness
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """Scale and optics of the camera; the defaults are those of the Corvis ST (PMC4020874)."""
+
+    pixel_x_mm: float = 0.015625
+    pixel_y_mm: float = 0.0165
+    frame_interval_ms: float = 0.2315
+    angle_deg: float = 45.0
+    refractive_index: float = 1.376
+
+
+@dataclass(frozen=True)
+class Curves:
+    """The anterior surface over time.
+
+    time_ms [frames], rising; x_mm [points]; height_mm [frames, points], NaN where it was not seen; thickness_mm [frames],
+    the mean over the central 1.2 mm, and thickness_profile_mm [points] at rest, or None. axis_column_px, apex_row_px,
+    tilt_deg: where the eye lies in the frame. notes: what a reader should know.
+    """
+
+    time_ms: np.ndarray
+    x_mm: np.ndarray
+    height_mm: np.ndarray
+    thickness_mm: np.ndarray | None = None
+    thickness_profile_mm: np.ndarray | None = None
+    axis_column_px: float = 0.0
+    apex_row_px: float = 0.0
+    tilt_deg: float = 0.0
+    notes: tuple[str, ...] = field(default=())
+
+
+def grid() -> np.ndarray:
+    """The x of all curves [mm]."""
+    count = round(X_REACH_MM / X_STEP_MM)
+    return X_STEP_MM * np.arange(-count, count + 1)
+
+
+def curves_from_wall(time_ms: np.ndarray, r_mm: np.ndarray, z_mm: np.ndarray,
+                     thickness_mm: float | None = None) -> Curves:
+    """Curves of an axisymmetric membrane: r_mm, z_mm [frames, nodes], apex first, at time_ms [frames]."""
+    x = grid()
+    height = np.stack([_even_spline(r, z, np.abs(x)) for r, z in zip(np.asarray(r_mm, float), np.asarray(z_mm, float))])
+    return Curves(np.asarray(time_ms, float), x, height - height[0, len(x) // 2],
+                  None if thickness_mm is None else np.full(len(height), float(thickness_mm)))
+
+
+def _even_spline(r: np.ndarray, z: np.ndarray, at: np.ndarray) -> np.ndarray:
+    from scipy.interpolate import CubicSpline
+    keep = np.concatenate([[True], np.diff(np.maximum.accumulate(r)) > 1e-9])
+    spline = CubicSpline(r[keep], z[keep], bc_type=((1, 0.0), "not-a-knot"))
+    return np.where(at <= r[keep][-1], spline(np.minimum(at, r[keep][-1])), np.nan)
+
+
+def curves_from_edges(edges: Edges, time_ms: np.ndarray, instrument: Instrument) -> Curves:
+    """Curves of a film's edges at the frames' times [frames]; FilmError where there is no cornea to be measured."""
+    seen = np.isfinite(edges.anterior)
+    width = seen.shape[1]
+    third = slice(width // 3, width - width // 3)
+    good = (seen.mean(axis=1) > FOUND_MIN)
+    if good.mean() < 0.5 or good.sum() < 8:
+        raise FilmError(f"a corneal section was found in {good.sum()} of {len(good)} frames only")
+    notes = []
+    if not good.all():
+        notes.append(f"{(~good).sum()} frames without a corneal section left out")
+    cut = (~seen[good][:, third]).any(axis=1).sum()
+    time = np.asarray(time_ms, float)[good]
+    rows = edges.anterior[good]
+    x_px = np.arange(width) * instrument.pixel_x_mm
+    height = -rows * instrument.pixel_y_mm
+    if cut > 0.02 * len(time):
+        notes.append(f"the cornea's top is cut off or hidden in {cut} frames; bridged by an even polynomial")
+        height = np.stack([_bridged(x_px, one) for one in height])
+    rest = time <= time[0] + REST_MS
+    if time[0] > 3.0:
+        notes.append(f"the first frame is at {time[0]:.2f} ms: displacements are from there, not from rest")
+    base = _mean_rest(height, rest)
+    x = grid()
+    centre = _axis(x_px, base - height)
+    if centre is None:
+        centre = _pole(x_px, base)
+        notes.append("the cornea does not move; the axis is taken at the pole")
+        slope, top, turned = _turned_about(x_px, height, base, centre, x)
+    else:
+        # displacements seen askew are a little lopsided: once more in the frame of the eye
+        for _ in range(2):
+            slope, top, turned = _turned_about(x_px, height, base, centre, x)
+            centre += (_axis(x, _mean_rest(turned, rest) - turned) or 0.0) * cos(atan(slope))
+        slope, top, turned = _turned_about(x_px, height, base, centre, x)
+    turn = atan(slope)
+    at_px = edges.posterior_column * instrument.pixel_x_mm
+    apparent = -edges.posterior[good] * instrument.pixel_y_mm - top
+    at = (at_px - centre) * cos(turn) + apparent * sin(turn)
+    lifted = apparent * cos(turn) - (at_px - centre) * sin(turn)
+    places = _row_mean(at[rest].T)
+    inside = np.isfinite(places) & (np.abs(places) < X_REACH_MM)
+    thick, profile = None, None
+    if inside.any():
+        anterior = _smooth_filled(turned)
+        lifted = np.stack([_at_places(one_at[inside], one[inside], places[inside]) for one_at, one in zip(at, lifted)])
+        local = optics.thickness(x, anterior, places[inside], lifted, instrument.angle_deg, instrument.refractive_index)
+        central = np.abs(places[inside]) <= CENTRAL_MM
+        thick = _row_mean(local[:, central])
+        profile = np.interp(x, places[inside], _row_mean(local[rest].T), left=np.nan, right=np.nan)
+    return Curves(time, x, turned, thick, profile, centre / instrument.pixel_x_mm, -top / instrument.pixel_y_mm,
+                  degrees(turn), tuple(notes))
+
+
+def smooth(height: np.ndarray) -> np.ndarray:
+    """Curves smoothed along x by a moving cubic of SMOOTH_MM; gaps stay gaps."""
+    length = 2 * round(0.5 * SMOOTH_MM / X_STEP_MM) + 1
+    out = np.full_like(height, np.nan)
+    for k, one in enumerate(height):
+        good = np.flatnonzero(np.isfinite(one))
+        if len(good) > length:
+            span = slice(good[0], good[-1] + 1)
+            part = np.interp(np.arange(good[0], good[-1] + 1), good, one[good])
+            out[k, span] = savgol_filter(part, length, 3, mode="interp")
+    return out
+
+
+def _turned_about(x: np.ndarray, height: np.ndarray, base: np.ndarray, centre: float,
+                  onto: np.ndarray) -> tuple[float, float, np.ndarray]:
+    """Slope and height of the resting surface at `centre`, and all curves turned upright about that point."""
+    slope, top = _tangent(x, base, centre)
+    return slope, top, np.stack([_turned(x - centre, one - top, atan(slope), onto) for one in height])
+
+
+def _mean_rest(height: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    return _row_mean(height[rest].T)
+
+
+def _row_mean(values: np.ndarray) -> np.ndarray:
+    good = np.isfinite(values)
+    return np.where(good.any(axis=1), np.where(good, values, 0.0).sum(axis=1) / np.maximum(good.sum(axis=1), 1), np.nan)
+
+
+def _smooth_filled(height: np.ndarray) -> np.ndarray:
+    out = smooth(height)
+    at = np.arange(height.shape[1])
+    for k in range(len(out)):
+        good = np.flatnonzero(np.isfinite(out[k]))
+        if len(good):
+            out[k] = np.interp(at, good, out[k, good])
+    return out
+
+
+def _at_places(at: np.ndarray, value: np.ndarray, places: np.ndarray) -> np.ndarray:
+    good = np.isfinite(at) & np.isfinite(value)
+    if good.sum() < 2:
+        return np.full(len(places), np.nan)
+    order = np.argsort(at[good])
+    moved = np.interp(places, at[good][order], value[good][order])
+    return np.where(np.isfinite(value), moved, np.nan)
+
+
+def _turned(x: np.ndarray, z: np.ndarray, turn: float, onto: np.ndarray) -> np.ndarray:
+    """The curve (x, z) turned back by `turn` about the origin, on the grid `onto`; NaN outside."""
+    good = np.isfinite(z)
+    if good.sum() < 2:
+        return np.full(len(onto), np.nan)
+    x, z = x[good], z[good]
+    return np.interp(onto, x * cos(turn) + z * sin(turn), z * cos(turn) - x * sin(turn), left=np.nan, right=np.nan)
+
+
+def _axis(x: np.ndarray, displacement: np.ndarray) -> float | None:
+    """Where the displacement of the deepest frames is most symmetric; None where nothing moved."""
+    depth = np.nanmax(savgol_filter(np.nan_to_num(displacement), 31, 2, axis=1), axis=1)
+    deepest = np.argsort(depth)[-7:]
+    mean = _row_mean(displacement[deepest].T)
+    good = np.isfinite(mean)
+    mean = savgol_filter(np.interp(x, x[good], mean[good]), 31, 2)
+    mean[:np.argmax(good)] = np.nan
+    mean[len(good) - np.argmax(good[::-1]):] = np.nan
+    top = np.nanmax(mean)
+    if top - np.nanmin(mean) < MOVED_MM:
+        return None
+    guess = x[int(np.nanargmax(mean))]
+    offset = np.arange(0.05, SYMMETRY_MM, 0.05)
+    candidates = guess + np.arange(-1.0, 1.0001, 0.01)
+    cost = []
+    for c in candidates:
+        left, right = (np.interp(c + sign * offset, x, mean, left=np.nan, right=np.nan) for sign in (-1, 1))
+        both = np.isfinite(left + right)
+        cost.append(np.mean((left - right)[both] ** 2) if both.sum() > len(offset) // 2 else np.inf)
+    best = int(np.argmin(cost))
+    if not 0 < best < len(cost) - 1 or not np.isfinite(cost[best - 1] + cost[best + 1]):
+        return float(candidates[best])
+    a, b, c = cost[best - 1], cost[best], cost[best + 1]
+    return float(candidates[best] + 0.01 * 0.5 * (a - c) / max(a - 2.0 * b + c, 1e-30))
+
+
+def _pole(x: np.ndarray, base: np.ndarray) -> float:
+    good = np.isfinite(base)
+    c2, c1, _ = np.polyfit(x[good], base[good], 2)
+    return float(np.clip(-0.5 * c1 / c2, x[0], x[-1]))
+
+
+def _tangent(x: np.ndarray, base: np.ndarray, centre: float) -> tuple[float, float]:
+    """Slope and height of the resting surface on the axis, from a quartic over the central 6 mm."""
+    near = (np.abs(x - centre) <= 3.0) & np.isfinite(base)
+    fit = np.polynomial.polynomial.polyfit(x[near] - centre, base[near], 4)
+    return float(fit[1]), float(fit[0])
+
+
+def _bridged(x: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """A curve with its gap bridged by the least-squares quartic through what is seen."""
+    good = np.isfinite(z)
+    if good.all() or good.sum() < 20:
+        return z
+    middle = 0.5 * (x[0] + x[-1])
+    near = good & (np.abs(x - middle) < 4.2)
+    fit = np.polynomial.polynomial.polyfit(x[near] - middle, z[near], 4)
+    first, last = np.flatnonzero(good)[[0, -1]]
+    inner = np.zeros(len(x), bool)
+    inner[first:last] = True
+    return np.where(good | ~inner, z, np.polynomial.polynomial.polyval(x - middle, fit))

@@ -1,0 +1,117 @@
+"""DCR parameters of curves whose parameters are known in closed form."""
+import numpy as np
+import pytest
+
+from taichi_eye.analysis.curves import Curves, curves_from_wall, grid
+from taichi_eye.analysis.response import biop_surrogate_mmhg, circle_curvature, histories, moving, respond
+
+TIMES = 0.2315 * np.arange(139)
+
+
+def puff(time):
+    return np.exp(-(((time - 16.0) / 5.0) ** 2))
+
+
+def parabolas(depth=1.0, whole=0.0):
+    """Curvature falls from 1/8 to -1/7 in step with the apex, the whole eye moves by `whole`."""
+    x = grid()
+    load = puff(TIMES)[:, None]
+    bend = 0.125 - (0.125 + 1.0 / 7.0) * load
+    inner = np.where(np.abs(x) < 1.3, x**2, 1.3**2 + 2.6 * (np.abs(x) - 1.3))
+    far = np.clip((np.abs(x) - 1.3) / 1.7, 0.0, 1.0)
+    height = -0.0625 * x**2 * far - (1 - far) * 0.5 * bend * inner - (1 - far**2) * depth * load - whole * load
+    return Curves(TIMES, x, height, np.full(len(TIMES), 0.55))
+
+
+@pytest.mark.parametrize("radius", [7.8, 3.5, -3.5, -7.0])
+def test_circle_has_its_curvature(radius):
+    x = grid()
+    inside = np.abs(x) < 2.0
+    z = np.where(inside, np.sign(radius) * np.sqrt(radius**2 - np.where(inside, x, 0.0) ** 2), np.nan)
+    assert circle_curvature(x, z + 3.0) == pytest.approx(1.0 / radius, rel=2e-4)
+
+
+def test_applanations_lie_where_the_curvature_vanishes():
+    response = respond(parabolas())
+    share = 0.125 / (0.125 + 1.0 / 7.0)              # of the puff, at which the curvature is zero
+    late = 5.0 * np.sqrt(-np.log(share))
+    assert response.a1_time_ms == pytest.approx(16.0 - late, abs=0.03)
+    assert response.a2_time_ms == pytest.approx(16.0 + late, abs=0.03)
+    speed = 2.0 * late / 25.0 * share
+    assert response.a1_velocity_m_s == pytest.approx(speed, rel=0.02)
+    assert response.a2_velocity_m_s == pytest.approx(-speed, rel=0.02)
+    assert response.hc_time_ms == pytest.approx(16.0, abs=0.02)
+    assert response.deformation_amplitude_mm == pytest.approx(1.0, abs=2e-3)
+    assert response.hc_radius_mm == pytest.approx(7.0, rel=0.02)
+    assert response.central_thickness_um == pytest.approx(550.0)
+
+
+def test_inverse_radius_is_summed_over_the_frames_between_the_applanations():
+    response = respond(parabolas())
+    inverse = -(0.125 - (0.125 + 1.0 / 7.0) * puff(TIMES))
+    assert response.integrated_inverse_radius_per_mm == pytest.approx(inverse[inverse > 0].sum(), rel=0.02)
+    assert response.max_inverse_radius_per_mm == pytest.approx(1.0 / 7.0, rel=0.02)
+    coarse = respond(parabolas(), frame_interval_ms=0.463)
+    assert coarse.integrated_inverse_radius_per_mm == pytest.approx(0.5 * inverse[inverse > 0].sum(), rel=0.03)
+
+
+def test_whole_eye_movement_is_told_from_deflection():
+    still, moved = respond(parabolas(0.8)), respond(parabolas(0.8, whole=0.3))
+    assert still.whole_eye_movement_mm is None
+    assert moved.whole_eye_movement_mm == pytest.approx(0.3, abs=2e-3)
+    assert moved.deformation_amplitude_mm == pytest.approx(still.deformation_amplitude_mm + 0.3, abs=2e-3)
+    assert moved.hc_deflection_mm == pytest.approx(still.hc_deflection_mm, abs=2e-3)
+    assert moved.da_ratio_2mm < still.da_ratio_2mm
+
+
+def test_area_and_arc_length_of_a_cone():
+    x = grid()
+    load = puff(TIMES)[:, None]
+    height = -load * np.clip(1.0 - np.abs(x) / 3.0, 0.0, None)
+    response = respond(Curves(TIMES, x, height))
+    assert response.hc_deflection_area_mm2 == pytest.approx(3.0, rel=0.01)
+    # the smoothing rounds the tip off
+    assert response.hc_delta_arc_length_mm == pytest.approx(2.0 * (np.hypot(3.0, 1.0) - 3.0), rel=0.05)
+    assert response.deformation_amplitude_mm == pytest.approx(1.0, abs=0.05)
+
+
+def test_missing_frames_change_little():
+    whole = parabolas()
+    keep = np.random.default_rng(0).choice(len(TIMES), 110, replace=False)
+    keep.sort()
+    thinned = respond(Curves(TIMES[keep], whole.x_mm, whole.height_mm[keep], whole.thickness_mm[keep]))
+    full = respond(whole)
+    assert thinned.a1_time_ms == pytest.approx(full.a1_time_ms, abs=0.05)
+    assert thinned.deformation_amplitude_mm == pytest.approx(full.deformation_amplitude_mm, abs=2e-3)
+    assert thinned.integrated_inverse_radius_per_mm == pytest.approx(full.integrated_inverse_radius_per_mm, rel=0.01)
+
+
+def test_an_eye_that_does_not_move_has_no_parameters_but_its_thickness():
+    resting = Curves(TIMES, grid(), np.tile(-0.0625 * grid() ** 2, (len(TIMES), 1)), np.full(len(TIMES), 0.5))
+    assert respond(resting).deformation_amplitude_mm is None
+    assert respond(resting).central_thickness_um == pytest.approx(500.0)
+
+
+def test_stiffness_parameter_is_the_pressure_left_over_the_deflection():
+    response = respond(parabolas(), biop_mmhg=15.0, puff_mmhg=lambda t: 10.0 * t)
+    assert response.sp_a1_mmhg_mm == pytest.approx((10.0 * response.a1_time_ms - 15.0) / response.a1_deflection_mm)
+    assert biop_surrogate_mmhg(16.0, 550.0, 50.0) == pytest.approx(19.98 + 14.16 - 16.83 - 2.19)
+
+
+def test_moving_polynomial_reproduces_polynomials_and_bridges_gaps():
+    time = np.concatenate([np.arange(0.0, 5.0, 0.2), np.arange(7.0, 12.0, 0.2)])
+    values = 1.0 + 2.0 * time - 0.3 * time**2
+    at = np.array([2.0, 6.0, 9.9])
+    assert moving(time, values, at, 0.8, 2) == pytest.approx(1.0 + 2.0 * at - 0.3 * at**2)
+    assert moving(time, values, at, 0.8, 2, 1) == pytest.approx(2.0 - 0.6 * at)
+
+
+def test_curves_of_a_wall_start_at_rest_height_zero():
+    r = np.linspace(0.0, 5.8, 60)
+    z = np.stack([np.sqrt(7.8**2 - r**2) - depth * np.exp(-(r**2)) for depth in (0.0, 0.5)])
+    curves = curves_from_wall(np.array([0.0, 1.0]), np.stack([r, r]), z, 0.5)
+    assert curves.height_mm[0, len(grid()) // 2] == 0.0
+    assert curves.height_mm[1, len(grid()) // 2] == pytest.approx(-0.5)
+    x = grid()
+    assert curves.height_mm[0] == pytest.approx(np.sqrt(7.8**2 - x**2) - 7.8, abs=1e-5)
+    assert histories(curves).curvature_per_mm[0] == pytest.approx(1 / 7.8, rel=1e-3)
