@@ -117,8 +117,8 @@ def _verdicts(figures) -> list[tuple[str, str]]:
     if stiff and soft:
         said.append(("(i) the apex lags the jet",
                      f"With a stiff sealed chamber (c 160 m/s) the middle of the apex history comes {stiff['middle_delay_ms']:+.3f} ms, its "
-                     f"peak {stiff['peak_delay_ms']:+.2f} ms after the load's. At c 5 m/s: {soft['middle_delay_ms']:+.3f} and "
-                     f"{soft['peak_delay_ms']:+.2f} ms. A lag of milliseconds is the compliance of a slow numerical sound."))
+                     f"flat-topped peak {stiff['peak_delay_ms']:+.2f} ms after the load's. In a chamber made compliant by c 5 m/s: "
+                     f"{soft['middle_delay_ms']:+.3f} and {soft['peak_delay_ms']:+.2f} ms. No lag of a millisecond in either."))
         said.append(("(ii) the history is not symmetric", f"fall : rise is {stiff['asymmetry']:.3f} at c 160 m/s and "
                      f"{soft['asymmetry']:.3f} at c 5 m/s (1: symmetric)."))
     rho = figures.get("density")
