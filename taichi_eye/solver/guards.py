@@ -8,7 +8,7 @@ from taichi_eye.mfpm.operators import CONDITION_LIMIT
 from taichi_eye.solver.coupling import NOT_CONVERGED
 
 FLAT = 0.05  # of its area at rest: a triangle this flat is about to turn over
-CLOSED = 0.05  # of the height of the chamber at rest: the cornea is about to touch its back
+CLOSED = 0.1  # of the height of the chamber at rest: the cornea is about to touch its back, and the cloud is squeezed flat
 CONDITION_GROWTH = 1e3  # over the limit that stencils are chosen by
 ENERGY_SHARE = 0.1  # of the largest work done so far
 ENERGY_FLOOR = 1e-10  # J: below it no gain is judged (the default puff works 2e-5 J)
