@@ -82,8 +82,8 @@ class Outcome:
         row |= {f"delay_{name}_ms": self.delays.get(name) for name in ("midpoint", "centroid", "match", "peak")}
         row |= {name: getattr(m, name) if m else None
                 for name in ("fall_to_rise", "skewness", "speed_in", "speed_out", "speed_ratio", "odd_share")}
-        return row | {"volume_change": self.volume_change, "energy_error": self.energy_error, "overrides": " ".join(self.case.overrides),
-                      "stopped": self.stop}
+        return row | {"volume_change": self.volume_change, "energy_error": self.energy_error,
+                      "overrides": " ".join(self.case.overrides), "stopped": self.stop}
 
 
 def cases() -> list[Case]:
@@ -91,7 +91,8 @@ def cases() -> list[Case]:
     listed = [Case("reference", "default eye", 1.0)]
     listed += [Case("sound speed", f"c = {c:g} m/s", c, (f"numerics.sound_speed_m_s={c}",)) for c in SOUND_SPEEDS]
     listed += [Case("fluid density", f"rho_f x {x:g}", x, _lighter_fluid(x)) for x in DENSITY_FACTORS]
-    listed += [Case("viscosity", f"mu = {mu:g} mPa s", mu, (f"aqueous.viscosity_mpa_s={mu}",)) for mu in (0.0, 8.0, 80.0)]
+    listed += [Case("viscosity", f"mu = {mu:g} mPa s", mu, (f"aqueous.viscosity_mpa_s={mu}",))
+               for mu in (0.0, 8.0, 80.0)]
     # the thinner layer of the thinner fluid asks for finer nodes
     listed += [Case("viscosity, no slip", f"mu = {mu:g} mPa s, no slip", mu,
                     (f"aqueous.viscosity_mpa_s={mu}", "numerics.wall_condition=no_slip"), refine)

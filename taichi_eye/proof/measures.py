@@ -1,7 +1,8 @@
 """Delay and asymmetry of a history with one hump, by several measures that do not hang on a flat top.
 
-The dent's top is flat (it stays within 1 % of its peak for 1.5 ms), so the time of the highest sample is ill conditioned.
-Everything below works on the hump: the samples about the highest one down to `FOOT` of the peak on either side.
+The dent's top is flat (it stays within 1 % of its peak for 1.6 ms), so the time of the highest sample is ill
+conditioned. Everything below works on the hump: the samples about the highest one down to `FOOT` of the peak on either
+side.
 """
 from __future__ import annotations
 

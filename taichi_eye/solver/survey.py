@@ -1,4 +1,4 @@
-"""What is read off the coupled state between steps: traces, energies, and the figures the guards and the time step need.
+"""What is read off the coupled state between steps: traces, energies, what the guards and the time step need.
 
 Energies, all relative to rest [J]: the puff's work must equal what cornea and aqueous humour store and move with, plus
 the viscous and the numerical loss, and what fluid carries off where it may leave. The aqueous humour stores the
@@ -16,9 +16,9 @@ from taichi_eye.solver.coupling import Coupling
 QUANTITIES = (
     "apex_place", "apex_velocity", "fluid_pressure_apex", "volume_error", "puff_work", "cornea_elastic",
     "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic", "viscous_loss", "numerical_loss", "outflow_loss",
-    "least_stress", "slackest_element", "membrane_speed", "transverse_speed", "membrane_step", "smallest_gap", "flattest_triangle",
-    "flat_node", "pair_weight", "worst_condition", "ill_node", "chamber_gap", "gap_node", "not_finite", "bad_node", "fluid_speed",
-    "wall_travel", "coupling_sweeps", "coupling_residual", "coupling_status")
+    "least_stress", "slackest_element", "membrane_speed", "transverse_speed", "membrane_step", "smallest_gap",
+    "flattest_triangle", "flat_node", "pair_weight", "worst_condition", "ill_node", "chamber_gap", "gap_node",
+    "not_finite", "bad_node", "fluid_speed", "wall_travel", "coupling_sweeps", "coupling_residual", "coupling_status")
 
 
 @ti.data_oriented
