@@ -36,7 +36,7 @@ import numpy as np
 import taichi as ti
 
 from taichi_eye.backend import real
-from taichi_eye.cloud.packing import FIXED, SLIDE, WALL, Cloud
+from taichi_eye.cloud.packing import FIXED, FREE, SLIDE, WALL, Cloud
 from taichi_eye.mfpm.neighbours import NeighbourLists, image_of
 from taichi_eye.mfpm.operators import CONDITION_LIMIT, SEARCH_RADIUS, STENCIL, WIDTH, MfpmOperators
 
@@ -255,6 +255,9 @@ class Aqueous:
             candidate = ti.Vector([0.0, 0.0])
         self.candidate[i] = candidate
         middle = 0.5 * (candidate + self.velocity[i])
+        if self.no_slip[None] == 1 and self.kind[i] != FREE:
+            # the wall sets this velocity, not the candidate
+            middle = ti.Vector([0.0, 0.0])
         self.numerical_loss[i] -= dt * self.volume[i] * (
             rho * middle.dot(rough_u)
             + self.pressure[i] * self.pressure_dissipation[i] / (self.density0[None] * self.sound_speed[None] ** 2))
