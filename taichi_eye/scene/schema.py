@@ -68,6 +68,8 @@ class Cornea:
     thickness_mm: float = key(0.55, "thickness (h), on the axis", unit="mm", above=0, at_most=2)
     limbus_thickness_mm: float = key(AUTO, "thickness at the rim, a parabola in between; auto: that on the axis",
                                      unit="mm", above=0, at_most=2)
+    flexural_modulus_mpa: float = key(0.0, "Young's modulus of bending, D = E h^3 / (12 (1 - nu^2)); 0: a membrane",
+                                      unit="MPa", at_least=0, at_most=100)
     density_kg_m3: float = key(1050.0, "density of the tissue", unit="kg/m^3", at_least=100, at_most=10000)
     stiffness_a_pa: float = key(AUTO, "energy scale A; auto: 1562, or what k and the prestrain ask for",
                                 unit="Pa", above=0, at_most=1e9)
