@@ -39,11 +39,15 @@ class Cornea:
 
     place, velocity, acceleration: [m], [m/s], [m/s^2]; rest: reference places; force_air, force_solid: forces [N] of the
     air and of everything else but the fluid's excess pressure; stress: S1, S2 of each element [Pa].
+
+    Verification problems change three things. law: "exponential" (the tissue) or "tension" (a film of constant Cauchy
+    stress `material[0]` in Pa, like a soap film). rim: "clamped" (the limbus), "sliding_r" or "sliding_z" (a symmetry
+    plane in which the last node moves along r or along z). planar: a strip of unit depth in (x, z), without hoop strain.
     """
 
-    def __init__(self, capacity: int):
+    def __init__(self, capacity: int, law: str = "exponential", rim: str = "clamped", planar: bool = False):
         fp = real()
-        self.capacity = capacity
+        self.capacity, self.law, self.rim, self.planar = capacity, law, rim, planar
         self.elements = ti.field(ti.i32, ())
         vector = lambda: ti.Vector.field(2, fp, capacity)
         scalar = lambda: ti.field(fp, capacity)
@@ -60,31 +64,39 @@ class Cornea:
         self.iop = ti.field(fp, ())
         self.puff_work = ti.field(fp, ())
 
-    def setup(self, nodes, thickness, density: float, material, prestrain, iop: float, load_shape,
+    def setup(self, nodes, thickness, density: float, material, iop: float, load_shape,
               flexural_modulus: float = 0.0) -> None:
         """Place the membrane at rest.
 
-        nodes [n, 2] (m), apex first; thickness [n - 1] (m) and prestrain [n - 1] of the elements; density (kg/m^3);
-        material (A in Pa, s, nu); iop (Pa); load_shape [n]: the puff's pressure at each node relative to its pressure on the axis; flexural_modulus
-        (Pa): Young's modulus of bending, 0 for a membrane.
+        nodes [n, 2] (m), apex first; thickness (m); density (kg/m^3); material (A in Pa, s, nu, eps0); iop (Pa);
+        load_shape [n]: the puff's pressure at each node relative to its pressure on the axis; flexural_modulus (Pa):
+        Young's modulus of bending, 0 for a membrane. Thickness and eps0 may be one number or one per element, [n - 1].
         """
         count = len(nodes)
+        thickness = np.broadcast_to(np.asarray(thickness, dtype=float), count - 1)
         length = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
         radius = 0.5 * (nodes[1:, 0] + nodes[:-1, 0])
         ring = np.zeros(count)
         # half an element on either side of a node
         ring[:-1] += thickness * np.pi * length * (0.75 * nodes[:-1, 0] + 0.25 * nodes[1:, 0])
         ring[1:] += thickness * np.pi * length * (0.25 * nodes[:-1, 0] + 0.75 * nodes[1:, 0])
+        volume = thickness * 2.0 * np.pi * radius * length
+        if self.planar:
+            ring = 0.5 * (np.append(thickness * length, 0.0) + np.append(0.0, thickness * length))
+            volume = thickness * length
         shape = np.asarray(load_shape, dtype=float)
-        rigidity = flexural_modulus * np.broadcast_to(thickness, length.shape) ** 3 / (12.0 * (1.0 - material[2] ** 2))
-        # nodes: D area / L^2, the apex with the disc inside half an element and its mirrored neighbour
-        nodal = rigidity * 2.0 * np.pi * nodes[:-1, 0] / length
-        nodal[0] = rigidity[0] * np.pi
-        flexure = np.column_stack([nodal, rigidity * 2.0 * np.pi * length / radius])
+        *constants, prestrain = material
+        eps0 = np.broadcast_to(np.asarray(prestrain, dtype=float), length.shape)
+        flexure = np.zeros((count - 1, 2))
+        if flexural_modulus > 0.0:
+            rigidity = flexural_modulus * thickness**3 / (12.0 * (1.0 - constants[2] ** 2))
+            # nodes: D area / L^2, the apex with the disc inside half an element and its mirrored neighbour
+            flexure[:, 0] = rigidity * 2.0 * np.pi * nodes[:-1, 0] / length
+            flexure[0, 0] = rigidity[0] * np.pi
+            flexure[:, 1] = rigidity * 2.0 * np.pi * length / radius
         angle = np.arctan2(-np.diff(nodes[:, 1]), np.diff(nodes[:, 0]))
-        self._load(np.ascontiguousarray(nodes), density * ring, length, radius,
-                   thickness * 2.0 * np.pi * radius * length, np.ascontiguousarray(prestrain), flexure, angle, shape,
-                   *material, iop)
+        self._load(np.ascontiguousarray(nodes), density * ring, length, radius, volume, np.ascontiguousarray(eps0),
+                   flexure, angle, shape, *constants, iop)
         self._store_rest_residual()
 
     @ti.kernel
@@ -109,33 +121,49 @@ class Cornea:
         self.flexible[None] = ti.select(flexure[0, 1] > 0.0, 1, 0)
 
     @ti.func
-    def stress_of(self, e):
-        """S1, S2 [Pa] and W [J/m^3] at the shifted strains e = (e1, e2)."""
-        stiffness, s, nu = self.material[0], self.material[1], self.material[2]
-        total = e[0] + e[1]
-        grown = ti.exp(s * ((1.0 - nu) * (e[0] * e[0] + e[1] * e[1]) + nu * total * total))
-        factor = 2.0 * stiffness * s * grown
-        return ti.Vector([factor * ((1.0 - nu) * e[0] + nu * total), factor * ((1.0 - nu) * e[1] + nu * total)]), \
-            stiffness * (grown - 1.0)
+    def stress_of(self, e, shift):
+        """S1, S2 [Pa] and W [J/m^3] at the strains e = (e1, e2), shifted by `shift`."""
+        if ti.static(self.law == "tension"):
+            # W = S lam1 lam2: tension times area
+            lam1, lam2 = ti.sqrt(1.0 + 2.0 * (e[0] - shift)), ti.sqrt(1.0 + 2.0 * (e[1] - shift))
+            return self.material[0] * ti.Vector([lam2 / lam1, lam1 / lam2]), self.material[0] * (lam1 * lam2 - 1.0)
+        else:
+            stiffness, s, nu = self.material[0], self.material[1], self.material[2]
+            total = e[0] + e[1]
+            grown = ti.exp(s * ((1.0 - nu) * (e[0] * e[0] + e[1] * e[1]) + nu * total * total))
+            factor = 2.0 * stiffness * s * grown
+            return ti.Vector([factor * ((1.0 - nu) * e[0] + nu * total), factor * ((1.0 - nu) * e[1] + nu * total)]), \
+                stiffness * (grown - 1.0)
+
+    @ti.func
+    def hoop_stretch(self, k):
+        """lam2 of element k."""
+        if ti.static(self.planar):
+            return 1.0
+        else:
+            return 0.5 * (self.place[k][0] + self.place[k + 1][0]) / self.element_radius[k]
 
     @ti.func
     def strain_of(self, k):
         """Shifted strains e1, e2 of element k."""
         edge = self.place[k + 1] - self.place[k]
         lam1_squared = edge.norm_sqr() / self.element_length[k] ** 2
-        lam2 = 0.5 * (self.place[k][0] + self.place[k + 1][0]) / self.element_radius[k]
+        lam2 = self.hoop_stretch(k)
         shift = self.prestrain[k]
         return ti.Vector([0.5 * (lam1_squared - 1.0) + shift, 0.5 * (lam2 * lam2 - 1.0) + shift])
 
     @ti.func
     def stretch_element(self, k):
         """Edge tension (N, along the edge, pulling node k outwards) and hoop force (N) of element k."""
-        stress, energy = self.stress_of(self.strain_of(k))
+        stress, energy = self.stress_of(self.strain_of(k), self.prestrain[k])
         edge = self.place[k + 1] - self.place[k]
-        lam2 = 0.5 * (self.place[k][0] + self.place[k + 1][0]) / self.element_radius[k]
+        lam2 = self.hoop_stretch(k)
         self.stress[k] = stress
         self.tension[k] = edge * (self.element_volume[k] * stress[0] / self.element_length[k] ** 2)
-        self.hoop[k] = self.element_volume[k] * stress[1] * lam2 * 0.5 / self.element_radius[k]
+        if ti.static(self.planar):
+            self.hoop[k] = 0.0
+        else:
+            self.hoop[k] = self.element_volume[k] * stress[1] * lam2 * 0.5 / self.element_radius[k]
         if self.flexible[None] != 0:
             self.tension[k] += ti.Vector([edge[1], -edge[0]]) * (self.bending_torque(k) / edge.norm_sqr())
 
@@ -190,11 +218,17 @@ class Cornea:
         if i > 0:
             edge = self.place[i] - self.place[i - 1]
             radius = 0.5 * (self.place[i][0] + self.place[i - 1][0])
-            gradient += ti.math.pi * radius * ti.Vector([-edge[1], -radius])
+            if ti.static(self.planar):
+                gradient += 0.5 * ti.Vector([-edge[1], edge[0]])
+            else:
+                gradient += ti.math.pi * radius * ti.Vector([-edge[1], -radius])
         if i < self.elements[None]:
             edge = self.place[i + 1] - self.place[i]
             radius = 0.5 * (self.place[i][0] + self.place[i + 1][0])
-            gradient += ti.math.pi * radius * ti.Vector([-edge[1], radius])
+            if ti.static(self.planar):
+                gradient += 0.5 * ti.Vector([-edge[1], edge[0]])
+            else:
+                gradient += ti.math.pi * radius * ti.Vector([-edge[1], radius])
         return gradient
 
     @ti.func
@@ -204,7 +238,12 @@ class Cornea:
         if i == 0:
             kept[0] = 0.0
         if i == self.elements[None]:
-            kept = ti.Vector([0.0, 0.0])
+            if ti.static(self.rim == "sliding_r"):
+                kept[1] = 0.0
+            elif ti.static(self.rim == "sliding_z"):
+                kept[0] = 0.0
+            else:
+                kept = ti.Vector([0.0, 0.0])
         return kept
 
     @ti.func
@@ -231,7 +270,10 @@ class Cornea:
         volume = 0.0
         for k in range(self.elements[None]):
             a, b = self.place[k], self.place[k + 1]
-            volume += ti.math.pi * (0.5 * (a[0] + b[0])) ** 2 * (a[1] - b[1])
+            if ti.static(self.planar):
+                volume += 0.5 * (a[1] + b[1]) * (b[0] - a[0])
+            else:
+                volume += ti.math.pi * (0.5 * (a[0] + b[0])) ** 2 * (a[1] - b[1])
         return volume
 
     @ti.kernel
@@ -248,7 +290,7 @@ class Cornea:
         """Stored energy [J] relative to rest is this minus its value at rest: tissue plus dead load."""
         energy = 0.0
         for k in range(self.elements[None]):
-            stress, density = self.stress_of(self.strain_of(k))
+            stress, density = self.stress_of(self.strain_of(k), self.prestrain[k])
             energy += self.element_volume[k] * density
         for i in range(self.elements[None] + 1):
             energy += self.residual[i].dot(self.place[i] - self.rest[i])

@@ -61,7 +61,7 @@ class Simulation:
         s = cornea.exponent_k / (1.0 + cornea.poisson_ratio)
         middle = 0.5 * (nodes[1:, 0] + nodes[:-1, 0])
         self.cornea.setup(nodes, thickness(scene, middle), cornea.density_kg_m3,
-                          (cornea.stiffness_a_pa, s, cornea.poisson_ratio), prestrain(scene, middle),
+                          (cornea.stiffness_a_pa, s, cornea.poisson_ratio, prestrain(scene, middle)),
                           scene.eye.iop_mmhg * MMHG, self.puff.radial(nodes[:, 0]), cornea.flexural_modulus_mpa * 1e6)
         self.aqueous.setup(self.cloud, scene.aqueous.density_kg_m3, scene.aqueous.viscosity_mpa_s * MPA_S,
                            numerics.sound_speed_m_s, numerics.dissipation, numerics.wall_condition == "no_slip")

@@ -91,7 +91,7 @@ class Survey:
             density = self.cornea.mass[1] / (0.5 * (self.cornea.element_volume[0] + self.cornea.element_volume[1]))
             for k in range(walls - 1):
                 strain = self.cornea.strain_of(k)
-                stress, energy = self.cornea.stress_of(strain)
+                stress, energy = self.cornea.stress_of(strain, self.cornea.prestrain[k])
                 if ti.min(stress[0], stress[1]) < least:
                     least, slackest = ti.min(stress[0], stress[1]), k
                 s, nu = self.cornea.material[1], self.cornea.material[2]

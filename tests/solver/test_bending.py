@@ -39,7 +39,7 @@ def shell():
     cornea = Cornea(ELEMENTS + 1)
     flat = np.ones(ELEMENTS)
     # without in-plane tension but for the prestrain's: bending stands out
-    cornea.setup(nodes, THICKNESS * flat, 1050.0, (1562.0, 57.8, 0.49), 0.03 * flat, 2000.0, np.ones(ELEMENTS + 1), MODULUS)
+    cornea.setup(nodes, THICKNESS * flat, 1050.0, (1562.0, 57.8, 0.49, 0.03 * flat), 2000.0, np.ones(ELEMENTS + 1), MODULUS)
     return Probe(cornea), nodes
 
 

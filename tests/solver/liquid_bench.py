@@ -1,0 +1,118 @@
+"""The aqueous humour without a cornea: any cloud, any fields, one set of kernels per basis."""
+import numpy as np
+import taichi as ti
+
+from taichi_eye.backend import real
+from taichi_eye.solver.aqueous import Aqueous
+
+CAPACITY, WALLS = 1400, 120
+
+
+@ti.data_oriented
+class Liquid:
+    """An aqueous humour whose wall and fields are set by hand; arrays in, arrays out."""
+
+    def __init__(self, basis="quadratic"):
+        self.aqueous = Aqueous(CAPACITY, basis)
+        self.wall_rest, self.wall_place, self.wall_velocity = (ti.Vector.field(2, real(), WALLS) for _ in range(3))
+        self.scalar, self.vector = ti.field(real(), CAPACITY), ti.Vector.field(2, real(), CAPACITY)
+        self.number = ti.field(real(), 3)
+
+    def fill(self, cloud, density=1000.0, viscosity=0.8e-3, sound_speed=50.0, dissipation=0.0,
+             no_slip=False):
+        """Fill a chamber, at rest, its wall where the cloud has it."""
+        self.cloud, self.count, self.walls = cloud, cloud.count, cloud.wall_count
+        self.aqueous.setup(cloud, density, viscosity, sound_speed, dissipation, no_slip)
+        for field in (self.wall_rest, self.wall_place):
+            self.put(field, cloud.points[:self.walls])
+        self.wall_velocity.fill(0.0)
+        return self
+
+    def put(self, field, values):
+        whole = np.zeros((*field.shape, *np.shape(values)[1:]))
+        whole[:len(values)] = values
+        field.from_numpy(whole)
+
+    def get(self, field):
+        return field.to_numpy()[:self.count]
+
+    @property
+    def places(self):
+        return self.get(self.aqueous.place)
+
+    def carry(self, wall, rebuild=True):
+        """Move the wall to `wall` and the nodes after it."""
+        self.put(self.wall_place, wall)
+        self._carry()
+        if rebuild:
+            self.aqueous.rebuild()
+
+    def set_fields(self, pressure, velocity):
+        self.put(self.aqueous.pressure, pressure)
+        self.put(self.aqueous.potential, pressure)
+        self.put(self.aqueous.velocity, velocity)
+        self._differentiate()
+
+    @ti.kernel
+    def _carry(self):
+        for i in range(self.aqueous.count[None]):
+            self.aqueous.move_node(i, self.wall_rest, self.wall_place)
+
+    @ti.kernel
+    def _differentiate(self):
+        for i in range(self.aqueous.count[None]):
+            self.aqueous.find_pressure_gradient(i)
+            self.aqueous.find_velocity_gradient(i)
+
+    @ti.kernel
+    def _kick(self, dt: float):
+        for i in range(self.aqueous.count[None]):
+            self.aqueous.kick(i, dt, self.wall_velocity)
+
+    def kick(self, dt):
+        """The candidate velocities."""
+        self._kick(dt)
+        return self.get(self.aqueous.candidate)
+
+    @ti.kernel
+    def _meet(self):
+        for i in range(self.aqueous.wall_count[None]):
+            self.vector[i] = self.aqueous.meet_wall(i, self.wall_place, self.wall_velocity[i])
+
+    def meet(self, candidate, wall_velocity):
+        """Velocities of the wall nodes from candidates and the cornea's velocities there."""
+        self.put(self.aqueous.candidate, candidate)
+        self.put(self.wall_velocity, wall_velocity)
+        self._meet()
+        return self.vector.to_numpy()[:self.walls]
+
+    @ti.kernel
+    def _rate(self):
+        for i in range(self.aqueous.count[None]):
+            self.scalar[i] = self.aqueous.pressure_rate(i, self.aqueous.divergence[i], self.wall_velocity)
+
+    def pressure_rate(self):
+        self._rate()
+        return self.get(self.scalar)
+
+    @ti.kernel
+    def _dissipate(self):
+        for i in range(self.aqueous.count[None]):
+            self.scalar[i], self.vector[i] = self.aqueous.dissipation_at(i)
+
+    def dissipation(self):
+        """P p [n] and P u [n, 2]."""
+        self._dissipate()
+        return self.get(self.scalar), self.get(self.vector)
+
+    @ti.kernel
+    def _weigh(self, volume: float):
+        ti.loop_config(serialize=True)
+        for once in range(1):
+            kinetic, elastic = self.aqueous.energies(volume)
+            self.number[0], self.number[1] = kinetic, elastic
+            self.number[2] = self.aqueous.missing_pressure(volume)
+
+    def kinetic_elastic_missing(self, volume):
+        self._weigh(volume)
+        return self.number.to_numpy()

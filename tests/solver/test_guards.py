@@ -1,0 +1,109 @@
+"""Guards: each failure named with its place, its time and what to change; sound figures pass."""
+import numpy as np
+import pytest
+from eye_bench import run_eye
+
+from taichi_eye.errors import RunStopped
+from taichi_eye.scene import load_scene
+from taichi_eye.solver.coupling import NOT_CONVERGED, RUNNING
+from taichi_eye.solver.guards import check
+
+SOUND = {"least_stress": 14e3, "slackest_element": 3.0, "chamber_gap": 0.6, "gap_node": 0.0, "flattest_triangle": 0.6,
+         "flat_node": 12.0, "worst_condition": 210.0, "ill_node": 40.0, "not_finite": 0.0, "bad_node": -1.0,
+         "coupling_status": float(RUNNING)}
+NAN = float("nan")
+
+
+def judge(energy_gain=1e-8, largest_work=3e-5, overrides=(), **figures):
+    check({**SOUND, **figures}, energy_gain, largest_work, load_scene(None, overrides),
+          lambda node: 0.25 * node, 12.345)
+
+
+def refusal(**keys):
+    with pytest.raises(RunStopped) as caught:
+        judge(**keys)
+    return caught.value
+
+
+def test_sound_figures_pass():
+    judge()
+    judge(energy_gain=-1e-5)
+    judge(energy_gain=0.0, largest_work=0.0)
+
+
+@pytest.mark.parametrize("keys, what, where, advice", [
+    ({"least_stress": -2.5}, "slack", "r = 0.75 mm", "puff.peak_kpa"),
+    ({"least_stress": 0.0}, "slack", "r = 0.75 mm", "eye.iop_mmhg"),
+    ({"chamber_gap": 0.01, "gap_node": 2.0}, "reached the back", "r = 0.50 mm", "puff.peak_kpa"),
+    ({"chamber_gap": -0.2}, "reached the back", "r = 0.00 mm", "chamber.depth_mm"),
+    ({"flattest_triangle": -0.1}, "cross", "r = 3.00 mm", "numerics.spacing_mm"),
+    ({"flattest_triangle": 0.01}, "cross", "r = 3.00 mm", "puff.peak_kpa"),
+    ({"worst_condition": 1e12}, "singular", "r = 10.00 mm", "numerics.spacing_mm"),
+    ({"worst_condition": float("inf")}, "singular", "r = 10.00 mm", "numerics.basis"),
+    ({"worst_condition": NAN}, "singular", "r = 10.00 mm", "numerics.basis"),
+    ({"not_finite": 1.0, "bad_node": 8.0}, "not finite", "r = 2.00 mm", "numerics.cfl"),
+    ({"energy_gain": NAN}, "not finite", "r = 0.00 mm", "numerics.dissipation"),
+    ({"energy_gain": 2e-5}, "energy", "20 uJ", "numerics.dissipation"),
+    ({"energy_gain": 1e-7, "largest_work": 0.0}, "energy", "0.1 uJ", "numerics.cfl"),
+    ({"coupling_status": float(NOT_CONVERGED), "overrides": ["numerics.coupling_iterations_max=7"]}, "did not converge",
+     "7 sweeps", "numerics.coupling_iterations_max")])
+def test_each_failure_is_named(keys, what, where, advice):
+    stop = refusal(**keys)
+    assert what in stop.what and where in stop.where and advice in stop.advice
+    assert stop.time_ms == 12.345 and "12.345" in str(stop)
+
+
+def test_a_slack_wall_is_named_before_what_it_causes():
+    everything = {"least_stress": -1.0, "flattest_triangle": -1.0, "worst_condition": NAN, "not_finite": 1.0,
+                  "energy_gain": NAN}
+    assert "slack" in refusal(**everything).what
+
+
+def stopped(*overrides):
+    """The stop of a real scene; what was computed before it is sound."""
+    run = run_eye(*overrides)
+    assert run.stop is not None
+    times = run["time_ms"]
+    assert 0 < len(times) and times[-1] < run.stop.time_ms <= times[-1] + 0.026
+    for column in run.traces.values():
+        assert len(column) == len(times) and np.isfinite(column).all()
+    return run
+
+
+def test_no_dissipation_is_stopped_within_the_first_milliseconds():
+    run = stopped("numerics.dissipation=0")
+    assert run.stop.time_ms < 3.0
+    assert "energy" in run.stop.what
+    assert "numerics.dissipation" in run.stop.advice
+
+
+@pytest.mark.parametrize("overrides", [("eye.iop_mmhg=1",), ("cornea.prestrain=0.002", "puff.peak_kpa=20")])
+def test_an_eye_without_tension_goes_slack(overrides):
+    run = stopped(*overrides)
+    assert "slack" in run.stop.what and run.each("least_stress")[-1] <= 0.0 < run.each("least_stress")[:-1].min()
+    assert "eye.iop_mmhg" in run.stop.advice
+
+
+def test_a_compliant_eye_is_blown_flat_against_its_back():
+    run = stopped("numerics.sound_speed_m_s=1", "puff.peak_kpa=20")
+    assert "back" in run.stop.what or "cross" in run.stop.what
+    assert "r = 0.0" in run.stop.where and "puff.peak_kpa" in run.stop.advice
+    assert run["apex_displacement_mm"].max() > 2.0
+
+
+@pytest.mark.parametrize("overrides", [
+    ("numerics.coupling_iterations_max=1",),
+    ("numerics.relaxation=fixed", "numerics.relaxation_factor=0.05", "numerics.coupling_iterations_max=10")])
+def test_an_iteration_cut_short_is_stopped(overrides):
+    run = stopped(*overrides)
+    assert "did not converge" in run.stop.what
+    assert run.stop.where == f"in {run.scene.numerics.coupling_iterations_max} sweeps"
+    assert "numerics.coupling_iterations_max" in run.stop.advice
+
+
+@pytest.mark.parametrize("overrides", [("numerics.dissipation=1",), ("eye.iop_mmhg=5",), ("numerics.basis=cubic",)])
+def test_a_dent_of_three_quarters_of_the_chamber_is_no_failure(overrides):
+    run = run_eye("puff.peak_kpa=80", *overrides)
+    assert run.stop is None
+    assert run["apex_displacement_mm"].max() > 1.8
+    assert np.abs(run["energy_error_uj"]).max() < 0.01 * run["puff_work_uj"].max()

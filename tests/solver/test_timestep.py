@@ -1,0 +1,76 @@
+"""Limits of the time step from made-up figures."""
+import math
+
+import pytest
+
+from taichi_eye.scene import load_scene
+from taichi_eye.solver.timestep import limits, stable_step
+
+FIGURES = {"smallest_gap": 0.8e-4, "membrane_step": 2e-6, "membrane_speed": 25.0, "transverse_speed": 5.0}
+
+
+def every(*overrides, **figures):
+    return limits({**FIGURES, **figures}, load_scene(None, overrides))
+
+
+def ratio(name, one, other):
+    return other[name] / one[name]
+
+
+def test_acoustic_limit_goes_as_the_gap_over_the_sound_speed():
+    calm = "numerics.dissipation=0"
+    base = every(calm)
+    assert ratio("acoustic", base, every(calm, smallest_gap=0.4e-4)) == pytest.approx(0.5)
+    assert ratio("acoustic", base, every(calm, "numerics.sound_speed_m_s=160")) == pytest.approx(0.5)
+    # leapfrog on waves of up to 1.6 c/h, nodes 0.8 h apart: below 2/w
+    assert base["acoustic"] <= 2.0 / (1.6 * 80.0 / 1e-4) * 1.1
+
+
+def test_dissipation_shortens_the_acoustic_limit():
+    shares = [every(f"numerics.dissipation={alpha}")["acoustic"] for alpha in (0.0, 0.3, 0.5, 1.0)]
+    assert shares == sorted(shares, reverse=True) and shares[-1] < 0.5 * shares[0]
+
+
+@pytest.mark.parametrize("alpha", [0.5, 1.0])
+def test_dissipation_limit_goes_as_the_square_of_the_gap_where_nodes_are_crushed(alpha):
+    # the dissipation's coefficient alpha c h keeps the spacing at rest, its operator grows as the gap to the -2
+    crushed = [every(f"numerics.dissipation={alpha}", smallest_gap=gap)["acoustic"] for gap in (1e-6, 0.5e-6)]
+    assert crushed[1] / crushed[0] == pytest.approx(0.25, rel=0.05)
+
+
+def test_viscous_limit():
+    assert every("aqueous.viscosity_mpa_s=0")["viscous"] == math.inf
+    base = every("aqueous.viscosity_mpa_s=10")
+    assert base["viscous"] == pytest.approx(FIGURES["smallest_gap"] ** 2 * 1000.0 / (4 * 0.01))
+    assert ratio("viscous", base, every("aqueous.viscosity_mpa_s=20")) == pytest.approx(0.5)
+    assert ratio("viscous", base, every("aqueous.viscosity_mpa_s=10", smallest_gap=0.4e-4)) == pytest.approx(0.25)
+
+
+def test_membrane_limits_are_the_time_a_wave_takes_along_the_shortest_element():
+    base = every()
+    assert base["membrane in plane"] == FIGURES["membrane_step"]
+    assert base["membrane transverse"] == pytest.approx(2e-6 * 25.0 / 5.0)
+    assert every(transverse_speed=0.0)["membrane transverse"] > 1.0
+
+
+def test_coupling_limit_goes_as_the_root_of_wall_mass_over_added_mass():
+    base = every()
+    assert ratio("coupling", base, every("cornea.thickness_mm=0.1375", "cornea.prestrain=auto")) == pytest.approx(0.5)
+    assert ratio("coupling", base, every("cornea.density_kg_m3=4200")) == pytest.approx(2.0)
+    assert ratio("coupling", base, every("aqueous.density_kg_m3=4000")) == pytest.approx(0.5)
+    assert ratio("coupling", base, every("numerics.sound_speed_m_s=160")) == pytest.approx(0.5)
+    assert ratio("coupling", base, every(smallest_gap=FIGURES["smallest_gap"] / 4)) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("overrides, figures, name", [
+    ((), {}, "acoustic"),
+    (("aqueous.viscosity_mpa_s=1000",), {"smallest_gap": 1e-6}, "viscous"),
+    ((), {"membrane_step": 1e-9, "membrane_speed": 50.0}, "membrane in plane"),
+    (("numerics.sound_speed_m_s=1",), {"transverse_speed": 40.0}, "membrane transverse"),
+    (("cornea.density_kg_m3=100", "cornea.thickness_mm=0.01", "numerics.dissipation=0"), {}, "coupling")])
+@pytest.mark.parametrize("cfl", [0.1, 0.8])
+def test_step_is_the_smallest_limit_times_cfl(overrides, figures, name, cfl):
+    scene = load_scene(None, [*overrides, f"numerics.cfl={cfl}"])
+    step, limit = stable_step({**FIGURES, **figures}, scene)
+    assert limit == name
+    assert step == pytest.approx(cfl * min(limits({**FIGURES, **figures}, scene).values()))

@@ -1,0 +1,105 @@
+"""The Python interface: a scene in, a run folder out."""
+import json
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from PIL import Image
+
+import taichi_eye
+from taichi_eye.film import FilmView
+from taichi_eye.report.traces import read_traces
+
+TINY = ["numerics.spacing_mm=0.3", "numerics.sound_speed_m_s=15", "numerics.duration_ms=1.7"]
+ALWAYS = {"film.mp4", "apex.png", "sheet.png", "traces.csv", "summary.json", "scene.toml"}
+
+
+def names(folder):
+    return {path.name for path in folder.iterdir()}
+
+
+def film_frames(path):
+    return imageio_ffmpeg.count_frames_and_secs(str(path))[0]
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    scene = taichi_eye.load_scene(None, TINY + ["output.gif=true"])
+    return taichi_eye.run(scene, tmp_path_factory.mktemp("runs") / "both")
+
+
+def test_result_is_what_stands_in_the_folder(result):
+    assert names(result.folder) == ALWAYS | {"film.gif"}
+    written = read_traces(result.folder / "traces.csv")
+    assert set(written) == set(result.traces)
+    for column, values in written.items():
+        np.testing.assert_array_equal(result.traces[column], values)
+    assert json.loads((result.folder / "summary.json").read_text()) == json.loads(json.dumps(result.summary))
+
+
+def test_film_of_both_views_has_every_frame(result):
+    scene = taichi_eye.load_scene(result.folder / "scene.toml")
+    assert scene.camera.view == "both" and film_frames(result.folder / "film.mp4") == scene.camera.frame_count == 8
+    with Image.open(result.folder / "film.gif") as gif:
+        assert 1 < gif.n_frames <= 8 and gif.mode in ("P", "RGB")
+
+
+def test_filming_does_not_touch_the_simulation(result):
+    scene = taichi_eye.load_scene(None, TINY)
+    alone = taichi_eye.Simulation(scene).run()
+    for column, values in alone.items():
+        np.testing.assert_array_equal(values, result.traces[column])
+
+
+def test_frame_of_the_film_shows_the_state_of_its_time(result, tmp_path):
+    scene = taichi_eye.load_scene(None, TINY + ["output.png_frames=true", "camera.noise=false"])
+    again = taichi_eye.run(scene, tmp_path / "again")
+    frames = sorted((again.folder / "frames").iterdir())
+    assert len(frames) == 8
+
+    def look(path):
+        with Image.open(path) as image:
+            return np.asarray(image.convert("L"), dtype=float)
+
+    first, last = look(frames[0]), look(frames[-1])
+    assert first.shape == last.shape and np.abs(last - first).max() > 20.0
+
+
+def test_an_interrupted_run_leaves_what_it_has(tmp_path, monkeypatch):
+    render, frames = FilmView.render, []
+
+    def interrupted(self, state):
+        if len(frames) == 4:
+            raise KeyboardInterrupt
+        frames.append(state.time_ms)
+        return render(self, state)
+
+    monkeypatch.setattr(FilmView, "render", interrupted)
+    scene = taichi_eye.load_scene(None, TINY + ["camera.view=scheimpflug"])
+    with pytest.raises(KeyboardInterrupt):
+        taichi_eye.run(scene, tmp_path / "cut")
+    folder = tmp_path / "cut"
+    assert names(folder) == ALWAYS
+    assert film_frames(folder / "film.mp4") == 4
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["status"] == "stopped" and summary["reason"] == "interrupted"
+    assert read_traces(folder / "traces.csv")["time_ms"][-1] == summary["simulated_ms"] < 1.0
+
+
+def test_a_bad_spacing_or_folder_or_history_is_refused_before_anything_is_written(tmp_path):
+    scene = taichi_eye.load_scene(None, TINY)
+    full = tmp_path / "full"
+    full.mkdir()
+    (full / "kept").write_text("")
+    with pytest.raises(taichi_eye.SceneError, match="not empty"):
+        taichi_eye.run(scene, full)
+    with pytest.raises(taichi_eye.SceneError, match="nowhere.csv"):
+        taichi_eye.run(scene, tmp_path / "new", compare=tmp_path / "nowhere.csv")
+    assert names(tmp_path) == {"full"} and names(full) == {"kept"}
+
+
+def test_readme_names_are_there():
+    for name in taichi_eye.__all__:
+        assert getattr(taichi_eye, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'simulate'"):
+        taichi_eye.simulate
