@@ -14,7 +14,8 @@ from taichi_eye.analysis.edges import Edges, find_edges
 from taichi_eye.analysis.frames import Film, read_film
 from taichi_eye.analysis.norms import NORMS, z_scores
 from taichi_eye.analysis.pictures import plot_page, write_overlay
-from taichi_eye.analysis.response import Histories, Response, biop_surrogate_mmhg, histories, measured_puff_mmhg, respond
+from taichi_eye.analysis.response import (Histories, Response, biop_surrogate_mmhg, histories, measured_puff_mmhg,
+                                          respond)
 from taichi_eye.errors import FilmError
 from taichi_eye.report.folder import create_run_folder, replacing, write_text
 
@@ -42,8 +43,8 @@ def analyze(path: str | Path, out: str | Path | None = None, write: bool = True,
     """Measure a film, a folder of images or a run.
 
     out: a new or empty folder for the results; None for renders/<name>-analysis-001, ... write: False for no files.
-    biop_mmhg: pressure of the eye, for SP-A1; or iop_nct_mmhg and age_years, from which it is estimated with the measured
-    thickness. settings: fields of `Instrument` that differ from the defaults. Raises FilmError where nothing can be
+    biop_mmhg: pressure of the eye, for SP-A1; or iop_nct_mmhg and age_years, from which it is estimated with the
+    measured thickness. settings: fields of `Instrument` that differ from the defaults. Raises FilmError where nothing can be
     read, before anything is written; SceneError for a bad output folder.
     """
     film = read_film(path, **settings)

@@ -2,7 +2,8 @@
 
 Axes: x along the slit, 0 on the axis of the eye; heights up from the apex at rest; mm and ms. The axis of a film is the
 line about which the displacement at the deepest frame is most symmetric: an eye off the centre of the frame needs no
-visible pole for it. The slope of the resting surface on that axis is the tilt of the eye, and the curves are turned back by it.
+visible pole for it. The slope of the resting surface on that axis is the tilt of the eye; the curves are turned back
+by it.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from dataclasses import dataclass, field
 from math import atan, cos, degrees, sin
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.signal import savgol_filter
 
 from taichi_eye.analysis import optics
@@ -41,8 +43,8 @@ class Instrument:
 class Curves:
     """The anterior surface over time.
 
-    time_ms [frames], rising; x_mm [points]; height_mm [frames, points], NaN where it was not seen; thickness_mm [frames],
-    the mean over the central 1.2 mm, and thickness_profile_mm [points] at rest, or None. axis_column_px, apex_row_px,
+    time_ms [frames], rising; x_mm [points]; height_mm [frames, points], NaN where not seen; thickness_mm [frames], the
+    mean over the central 1.2 mm, and thickness_profile_mm [points] at rest, or None. axis_column_px, apex_row_px,
     tilt_deg: where the eye lies in the frame. notes: what a reader should know.
     """
 
@@ -73,7 +75,6 @@ def curves_from_wall(time_ms: np.ndarray, r_mm: np.ndarray, z_mm: np.ndarray,
 
 
 def _even_spline(r: np.ndarray, z: np.ndarray, at: np.ndarray) -> np.ndarray:
-    from scipy.interpolate import CubicSpline
     keep = np.concatenate([[True], np.diff(np.maximum.accumulate(r)) > 1e-9])
     spline = CubicSpline(r[keep], z[keep], bc_type=((1, 0.0), "not-a-knot"))
     return np.where(at <= r[keep][-1], spline(np.minimum(at, r[keep][-1])), np.nan)

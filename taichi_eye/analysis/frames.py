@@ -59,10 +59,10 @@ def read_film(path: str | Path, **settings: float | None) -> Film:
     instrument = replace(Instrument(), **given)
     if path.is_dir():
         files = sorted((f for f in path.iterdir() if f.suffix.lower() in IMAGES), key=_natural)
-        frames = _grey(_read_images(path, files), instrument, given, path)
+        frames = _fitting(_read_images(path, files), given, path)
         times, how = _times_of(files, frames, instrument.frame_interval_ms)
     else:
-        frames = _grey(_read_video(path), instrument, given, path)
+        frames = _fitting(_read_video(path), given, path)
         times, how = _times_of([], frames, instrument.frame_interval_ms)
     known = np.isfinite(times)
     frames, times = frames[known], times[known]
@@ -149,7 +149,8 @@ def _flatten(image: np.ndarray) -> np.ndarray:
     return ((image.astype(np.uint16).sum(axis=2) + 1) // 3).astype(np.uint8)
 
 
-def _grey(frames: np.ndarray, instrument: Instrument, given: dict, path: Path) -> np.ndarray:
+def _fitting(frames: np.ndarray, given: dict, path: Path) -> np.ndarray:
+    """The frames, where their shape is the instrument's or their scale is given; FilmError otherwise."""
     rows, columns = frames.shape[1:]
     if min(rows, columns) < 64:
         raise FilmError(f"{path}: frames of {columns} x {rows} px are too small")

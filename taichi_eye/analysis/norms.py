@@ -1,7 +1,7 @@
 """Published DCR parameters of healthy corneas, mean and standard deviation, and z-scores against them.
 
-elderly: 194 eyes, fitted from openly available data (MIT licence), IOP 16.6 +- 2.8 mmHg, thickness 551 +- 31 um. iran: 652 eyes
-(PMC7001013), 16.8 +- 2.9 mmHg, 531 +- 31 um. china: controls of Tian 2014, 546 +- 30 um.
+elderly: 194 eyes, computed from openly available data (MIT licence), IOP 16.6 +- 2.8 mmHg, thickness 551 +- 31 um.
+iran: 652 eyes (PMC7001013), 16.8 +- 2.9 mmHg, 531 +- 31 um. china: controls of Tian 2014, 546 +- 30 um.
 """
 
 from __future__ import annotations

@@ -22,8 +22,8 @@ def thickness(x_mm: np.ndarray, anterior_mm: np.ndarray, at_mm: np.ndarray, appa
               angle_deg: float, refractive_index: float) -> np.ndarray:
     """Thickness along the normal [mm] at `at_mm` [groups] in each frame, shape [frames, groups].
 
-    x_mm [columns], even steps, 0 on the axis; anterior_mm [frames, columns] and apparent_mm [frames, groups] are heights
-    (up is positive). NaN where an edge is missing.
+    x_mm [columns], even steps, 0 on the axis; anterior_mm [frames, columns] and apparent_mm [frames, groups] are
+    heights (up is positive). NaN where an edge is missing.
     """
     angle = radians(angle_deg)
     cotangent, sine, cosine = 1.0 / tan(angle), sin(angle), cos(angle)

@@ -161,7 +161,7 @@ def respond(curves: Curves, frame_interval_ms: float = 0.2315, biop_mmhg: float 
                   f"{name}_deflection_mm": float(_band(deflected[None], x, 0.0, APEX_MM)[0]), **_zone(h, at, name)}
     if biop_mmhg is not None:
         found["biop_mmhg"] = biop_mmhg
-        if found.get("a1_deflection_mm") or 0.0 > 0.0:
+        if found.get("a1_deflection_mm", 0.0) > 0.0:
             found["sp_a1_mmhg_mm"] = (puff_mmhg(a1) - biop_mmhg) / found["a1_deflection_mm"]
     return _response(found)
 

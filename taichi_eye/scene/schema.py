@@ -68,6 +68,8 @@ class Cornea:
     thickness_mm: float = key(0.55, "thickness (h), on the axis", unit="mm", above=0, at_most=2)
     limbus_thickness_mm: float = key(AUTO, "thickness at the rim, a parabola in between; auto: that on the axis",
                                      unit="mm", above=0, at_most=2)
+    flexural_modulus_mpa: float = key(0.0, "Young's modulus of bending, D = E h^3 / (12 (1 - nu^2)); 0: a membrane",
+                                      unit="MPa", at_least=0, at_most=100)
     density_kg_m3: float = key(1050.0, "density of the tissue", unit="kg/m^3", at_least=100, at_most=10000)
     stiffness_a_pa: float = key(AUTO, "energy scale A; auto: 1562, or what k and the prestrain ask for",
                                 unit="Pa", above=0, at_most=1e9)
@@ -88,6 +90,8 @@ class Chamber:
 
     depth_mm: float = key(AUTO, "apex to back plane on the axis, at least the cap depth; auto: the cap depth",
                           unit="mm", above=0, at_most=100)
+    compliance_mm3_mmhg: float = key(0.0, "volume that the rest of the globe takes up per pressure; 0: sealed",
+                                     unit="mm^3/mmHg", at_least=0, at_most=100)
     lens_radius_mm: float = key(0.0, "radius of curvature of a lens cap on the back plane; 0: none",
                                 unit="mm", at_least=0, at_most=100)
     lens_height_mm: float = key(0.0, "height of that cap over the back plane, below its radius; 0: none",

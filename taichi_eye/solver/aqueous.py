@@ -79,7 +79,8 @@ class Aqueous:
         self.corner_count = ti.field(ti.i32, capacity)
         self.density0, self.viscosity, self.sound_speed = (ti.field(fp, ()) for _ in range(3))
         self.dissipation_length = ti.field(fp, ())  # alpha c h [m^2/s]
-        self.rest_volume, self.pressure_shift = ti.field(fp, ()), ti.field(fp, ())
+        self.rest_volume, self.last_volume, self.compliance = (ti.field(fp, ()) for _ in range(3))
+        self.pressure_shift = ti.field(fp, ())
 
     def setup(self, cloud: Cloud, density: float, viscosity: float, sound_speed: float, dissipation: float,
               no_slip: bool = False, sealed: bool = True, stencil: int | None = None) -> None:
@@ -131,7 +132,7 @@ class Aqueous:
     def _load_chamber(self, triangles: ti.types.ndarray(), wall_count: int, volume: float, density: float,
                       viscosity: float, sound_speed: float, dissipation_length: float, no_slip: int, sealed: int):
         self.wall_count[None], self.triangle_count[None] = wall_count, triangles.shape[0]
-        self.rest_volume[None], self.pressure_shift[None] = volume, 0.0
+        self.rest_volume[None], self.last_volume[None], self.pressure_shift[None] = volume, volume, 0.0
         self.density0[None], self.viscosity[None], self.sound_speed[None] = density, viscosity, sound_speed
         self.dissipation_length[None], self.no_slip[None] = dissipation_length, no_slip
         self.sealed[None], self.outflow[None] = sealed, 0.0
@@ -299,13 +300,19 @@ class Aqueous:
         """The uniform pressure [Pa] that restores the mean density of the chamber at its volume [m^3].
 
         In an open chamber: that brings the mean excess pressure back to zero.
+        Where the rest of the globe yields, by compliance [m^3/Pa] times the mean pressure, that much aqueous humour
+        has left, from everywhere alike: the eye behind the iris is not resolved. The next step's continuity knows nothing
+        of that; what it is going to bring too much, by the last change of volume, is taken off beforehand.
         """
         total, weight = 0.0, 0.0
         for i in range(self.count[None]):
             total += self.volume[i] * self.pressure[i]
             weight += self.volume[i]
         stiffness = self.density0[None] * self.sound_speed[None] ** 2
-        mean = stiffness * (self.rest_volume[None] / volume - 1.0)
+        yielding = 1.0 + stiffness * self.compliance[None] / volume
+        coming = stiffness * (self.last_volume[None] / volume - 1.0) * (1.0 - 1.0 / yielding)
+        self.last_volume[None] = volume
+        mean = stiffness * (self.rest_volume[None] / volume - 1.0) / yielding - coming
         if self.sealed[None] == 0:
             mean = 0.0
         return mean - total / weight

@@ -17,6 +17,11 @@ Rings, not the hat functions of finite elements: those load the apex with h^2/6 
 h^2/8, and that point load makes a logarithmic spike, an apex that converges at order 1.3-1.7 only. With rings, 32 / 64 /
 128 elements put the apex of the default eye 0.22 / 0.056 / 0.014 % deep under the peak load of the puff: order 1.98.
 
+Bending, where the scene asks for it: a shell instead of a membrane. With phi the inclination of an element, the changes of
+curvature from rest are (phi_k - phi_k-1) / L at the nodes and (sin phi - sin phi0) / R_k on the elements, and
+W_b = D/2 (dk1^2 + dk2^2) per area, D = E h^3 / (12 (1 - nu^2)). Kirchhoff's mixed term, D nu dk1 dk2, is left out: its
+integral depends on the rim alone. The rim is a hinge.
+
 Rest. The discrete sphere is in equilibrium with the IOP up to O(h^2); that remainder is computed once at the reference
 and subtracted as a dead load, so that a scene without a puff stays at rest to rounding.
 
@@ -51,18 +56,21 @@ class Cornea:
         self.force_solid, self.force_air, self.tension = vector(), vector(), vector()
         self.mass, self.hoop, self.load_shape, self.air_pressure = scalar(), scalar(), scalar(), scalar()
         self.element_length, self.element_radius, self.element_volume = scalar(), scalar(), scalar()
-        self.prestrain = scalar()
+        self.prestrain, self.rest_angle = scalar(), scalar()
+        self.flexure = vector()  # of the node at an element's start, and of the element [J]
+        self.flexible = ti.field(ti.i32, ())
         self.stress = vector()
         self.material = ti.field(fp, 3)  # A [Pa], s, nu
         self.iop = ti.field(fp, ())
         self.puff_work = ti.field(fp, ())
 
-    def setup(self, nodes, thickness, density: float, material, iop: float, load_shape) -> None:
+    def setup(self, nodes, thickness, density: float, material, iop: float, load_shape,
+              flexural_modulus: float = 0.0) -> None:
         """Place the membrane at rest.
 
         nodes [n, 2] (m), apex first; thickness (m); density (kg/m^3); material (A in Pa, s, nu, eps0); iop (Pa);
-        load_shape [n]: the puff's pressure at each node relative to its pressure on the axis. Thickness and eps0 may
-        be one number or one per element, [n - 1].
+        load_shape [n]: the puff's pressure at each node relative to its pressure on the axis; flexural_modulus (Pa):
+        Young's modulus of bending, 0 for a membrane. Thickness and eps0 may be one number or one per element, [n - 1].
         """
         count = len(nodes)
         thickness = np.broadcast_to(np.asarray(thickness, dtype=float), count - 1)
@@ -79,14 +87,22 @@ class Cornea:
         shape = np.asarray(load_shape, dtype=float)
         *constants, prestrain = material
         eps0 = np.broadcast_to(np.asarray(prestrain, dtype=float), length.shape)
-        self._load(np.ascontiguousarray(nodes), density * ring, length, radius, volume, np.ascontiguousarray(eps0), shape,
-                   *constants, iop)
+        flexure = np.zeros((count - 1, 2))
+        if flexural_modulus > 0.0:
+            rigidity = flexural_modulus * thickness**3 / (12.0 * (1.0 - constants[2] ** 2))
+            # nodes: D area / L^2, the apex with the disc inside half an element and its mirrored neighbour
+            flexure[:, 0] = rigidity * 2.0 * np.pi * nodes[:-1, 0] / length
+            flexure[0, 0] = rigidity[0] * np.pi
+            flexure[:, 1] = rigidity * 2.0 * np.pi * length / radius
+        angle = np.arctan2(-np.diff(nodes[:, 1]), np.diff(nodes[:, 0]))
+        self._load(np.ascontiguousarray(nodes), density * ring, length, radius, volume, np.ascontiguousarray(eps0),
+                   flexure, angle, shape, *constants, iop)
         self._store_rest_residual()
 
     @ti.kernel
     def _load(self, nodes: ti.types.ndarray(), mass: ti.types.ndarray(), length: ti.types.ndarray(),
               radius: ti.types.ndarray(), volume: ti.types.ndarray(), prestrain: ti.types.ndarray(),
-              load_shape: ti.types.ndarray(), stiffness: float, s: float, nu: float, iop: float):
+              flexure: ti.types.ndarray(), angle: ti.types.ndarray(), load_shape: ti.types.ndarray(), stiffness: float, s: float, nu: float, iop: float):
         self.elements[None] = nodes.shape[0] - 1
         self.material[0], self.material[1], self.material[2] = stiffness, s, nu
         self.iop[None] = iop
@@ -101,6 +117,8 @@ class Cornea:
         for k in range(nodes.shape[0] - 1):
             self.element_length[k], self.element_radius[k] = length[k], radius[k]
             self.element_volume[k], self.prestrain[k] = volume[k], prestrain[k]
+            self.flexure[k], self.rest_angle[k] = ti.Vector([flexure[k, 0], flexure[k, 1]]), angle[k]
+        self.flexible[None] = ti.select(flexure[0, 1] > 0.0, 1, 0)
 
     @ti.func
     def stress_of(self, e, shift):
@@ -146,6 +164,40 @@ class Cornea:
             self.hoop[k] = 0.0
         else:
             self.hoop[k] = self.element_volume[k] * stress[1] * lam2 * 0.5 / self.element_radius[k]
+        if self.flexible[None] != 0:
+            self.tension[k] += ti.Vector([edge[1], -edge[0]]) * (self.bending_torque(k) / edge.norm_sqr())
+
+    @ti.func
+    def inclination(self, k):
+        """Slope angle of element k, downwards positive, and its change from rest."""
+        edge = self.place[k + 1] - self.place[k]
+        angle = ti.atan2(-edge[1], edge[0])
+        return angle, angle - self.rest_angle[k]
+
+    @ti.func
+    def bending_torque(self, k):
+        """Derivative [J] of the bending energy with respect to the inclination of element k."""
+        angle, turned = self.inclination(k)
+        before = 0.0
+        if k > 0:
+            before = self.inclination(k - 1)[1]
+        torque = self.flexure[k][0] * (turned - before)
+        if k + 1 < self.elements[None]:
+            torque -= self.flexure[k + 1][0] * (self.inclination(k + 1)[1] - turned)
+        return torque + self.flexure[k][1] * (ti.sin(angle) - ti.sin(self.rest_angle[k])) * ti.cos(angle)
+
+    @ti.func
+    def bending_energy(self):
+        """Energy of bending [J], zero at rest."""
+        energy = 0.0
+        if self.flexible[None] != 0:
+            before = 0.0
+            for k in range(self.elements[None]):
+                angle, turned = self.inclination(k)
+                energy += 0.5 * self.flexure[k][0] * (turned - before) ** 2
+                energy += 0.5 * self.flexure[k][1] * (ti.sin(angle) - ti.sin(self.rest_angle[k])) ** 2
+                before = turned
+        return energy
 
     @ti.func
     def elastic_force(self, i):
@@ -242,7 +294,7 @@ class Cornea:
             energy += self.element_volume[k] * density
         for i in range(self.elements[None] + 1):
             energy += self.residual[i].dot(self.place[i] - self.rest[i])
-        return energy
+        return energy + self.bending_energy()
 
     @ti.func
     def kinetic_energy(self):

@@ -16,7 +16,7 @@ from taichi_eye.eye.section import Section
 from taichi_eye.eye.thickness import prestrain, thickness
 from taichi_eye.solver import guards, timestep
 from taichi_eye.solver.workspace import borrow
-from taichi_eye.units import MM, MMHG, MPA_S, MS
+from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
 
 SAMPLE_MS = 0.025  # longest time between two rows of the traces
 REBUILD_TRAVEL = 0.05  # wall travel, in spacings, after which operator weights are rebuilt
@@ -62,10 +62,11 @@ class Simulation:
         middle = 0.5 * (nodes[1:, 0] + nodes[:-1, 0])
         self.cornea.setup(nodes, thickness(scene, middle), cornea.density_kg_m3,
                           (cornea.stiffness_a_pa, s, cornea.poisson_ratio, prestrain(scene, middle)),
-                          scene.eye.iop_mmhg * MMHG, self.puff.radial(nodes[:, 0]))
+                          scene.eye.iop_mmhg * MMHG, self.puff.radial(nodes[:, 0]), cornea.flexural_modulus_mpa * 1e6)
         self.aqueous.setup(self.cloud, scene.aqueous.density_kg_m3, scene.aqueous.viscosity_mpa_s * MPA_S,
                            numerics.sound_speed_m_s, numerics.dissipation, numerics.wall_condition == "no_slip",
                            scene.chamber.sealed)
+        self.aqueous.compliance[None] = scene.chamber.compliance_mm3_mmhg * MM3 / MMHG
         self.coupling.setup(numerics.coupling == "iterated", numerics.relaxation == "aitken",
                             numerics.relaxation_factor, numerics.coupling_tolerance, numerics.coupling_iterations_max)
         self.survey.remember_rest(self.section.back_height(nodes[:, 0]))

@@ -64,11 +64,13 @@ class Survey:
             rest_volume = self.aqueous.rest_volume[None]
             volume = self.coupling.chamber_volume()
             kinetic, elastic = self.aqueous.energies(volume)
-            viscous, numerical, carried = 0.0, 0.0, 0.0
+            viscous, numerical, carried, pressure_volume, total_volume = 0.0, 0.0, 0.0, 0.0, 0.0
             bad, ill, worst, fast = -1, 0, 0.0, 0.0
             gap, heaviest = ti.math.inf, 0.0
             for i in range(nodes):
                 viscous += self.aqueous.viscous_loss[i]
+                pressure_volume += self.aqueous.volume[i] * self.aqueous.pressure[i]
+                total_volume += self.aqueous.volume[i]
                 numerical += self.aqueous.numerical_loss[i]
                 carried += self.aqueous.outflow_loss[i]
                 sum = self.aqueous.pressure[i] + self.aqueous.velocity[i].sum()
@@ -116,12 +118,16 @@ class Survey:
                 sum = self.cornea.place[i].sum() + self.cornea.velocity[i].sum()
                 if bad < 0 and (ti.math.isnan(sum) or ti.math.isinf(sum)):
                     bad = i
+            # of the liquid's mean excess pressure: the volume that the rest of the globe has taken up
+            mean = pressure_volume / total_volume
+            yielded = self.aqueous.compliance[None] * mean
             figures = ((
                 self.cornea.place[0][1], self.cornea.velocity[0][1],
-                self.cornea.iop[None] + self.aqueous.pressure[0], volume / rest_volume - 1.0, self.cornea.puff_work[None],
+                self.cornea.iop[None] + self.aqueous.pressure[0], (volume + yielded) / rest_volume - 1.0,
+                self.cornea.puff_work[None],
                 self.cornea.elastic_energy() - self.rest_energy[None], self.cornea.kinetic_energy(), kinetic,
-                elastic + self.cornea.iop[None] * (rest_volume - volume), viscous, numerical, carried, least, slackest,
-                in_plane, transverse, step, ti.sqrt(gap), flattest, flat, heaviest, worst, ill, room, near,
+                elastic + self.cornea.iop[None] * (rest_volume - volume) + 0.5 * yielded * mean, viscous, numerical,
+                carried, least, slackest, in_plane, transverse, step, ti.sqrt(gap), flattest, flat, heaviest, worst, ill, room, near,
                 ti.select(bad >= 0, 1.0, 0.0), bad, fast, travel, self.coupling.sweeps[None], self.coupling.worst_residual[None],
                 self.coupling.status[None]))
             for q in ti.static(range(len(QUANTITIES))):

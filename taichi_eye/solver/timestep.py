@@ -10,6 +10,7 @@
     membrane, in plane      L / sqrt((B + S1) / rho_s), B the tangent along the meridian: twice the stiffness at twice
                             the stretch, so it shrinks as the cornea dents
     membrane, transverse    L / sqrt(S1 / rho_s)
+    membrane, bending       (L^2 / 2) sqrt(rho_s h_wall / D): the stiffest wave of a plate, D of the thickest part
     coupling                2 sqrt(g rho_s h_wall / (rho c^2)): where a sweep of the iteration stops contracting
 
 g is the smallest distance between two nodes now, h the spacing, L the shortest element of the membrane, alpha the
@@ -24,12 +25,15 @@ def limits(figures: dict[str, float], scene) -> dict[str, float]:
     c, rho, mu = numerics.sound_speed_m_s, scene.aqueous.density_kg_m3, scene.aqueous.viscosity_mpa_s * 1e-3
     wall_mass = scene.cornea.density_kg_m3 * min(scene.cornea.thickness_mm, scene.cornea.limbus_thickness_mm) * 1e-3
     length = figures["membrane_step"] * figures["membrane_speed"]
+    thickest = max(scene.cornea.thickness_mm, scene.cornea.limbus_thickness_mm) * 1e-3
+    rigidity = scene.cornea.flexural_modulus_mpa * 1e6 * thickest**3 / (12.0 * (1.0 - scene.cornea.poisson_ratio**2))
     return {
         "acoustic": gap / (c * (0.6 + 0.72 * numerics.dissipation * numerics.spacing_mm * 1e-3 / gap)),
         "dissipation": 0.55 / max(numerics.dissipation * c * numerics.spacing_mm * 1e-3 * figures["pair_weight"], 1e-30),
         "viscous": gap**2 * rho / (4.0 * mu) if mu > 0.0 else math.inf,
         "membrane in plane": figures["membrane_step"],
         "membrane transverse": length / max(figures["transverse_speed"], 1e-9),
+        "membrane bending": 0.5 * length**2 * math.sqrt(wall_mass / rigidity) if rigidity > 0.0 else math.inf,
         "coupling": 2.0 * math.sqrt(gap * wall_mass / rho) / c,
     }
 
