@@ -1,7 +1,7 @@
-"""The command line: `taichi-eye run SCENE.toml`.
+"""The command line: `taichi-eye run SCENE.toml`, and `verify`, `stability`, `claims`.
 
-Exit status: 0 done; 1 the run left its validity and was stopped (what was computed so far is in the run folder);
-2 bad input, nothing written; 130 interrupted.
+Exit status: 0 done; 1 the run left its validity and was stopped (what was computed so far is in the run folder), or a
+row of `verify` failed; 2 bad input, nothing written; 130 interrupted.
 """
 import argparse
 import sys
@@ -28,6 +28,14 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--precision", choices=backend.PRECISIONS, default="f64", help="default: f64")
     run.add_argument("--threads", type=_threads, metavar="N", help="CPU threads (default: all)")
     run.add_argument("--quiet", action="store_true", help="no progress bar")
+    for name, what in (("verify", "compare the solver's kernels with exact answers"),
+                       ("stability", "map where the methods fail, with the theory drawn on"),
+                       ("claims", "test the paper's claims in the model")):
+        proof = commands.add_parser(name, help=what, description=f"{what.capitalize()}; writes one table and one page.")
+        proof.add_argument("--only", metavar="NAME", action="append", default=[], help="one part of it; may be repeated")
+        proof.add_argument("--json", metavar="FILE", help="the figures as JSON")
+        proof.add_argument("--out", metavar="DIR", help="folder of the page, new or empty (default: under renders/)")
+        proof.add_argument("--threads", type=_threads, metavar="N", help="CPU threads (default: all)")
     return top
 
 
@@ -41,7 +49,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     given = parser().parse_args(arguments)
     try:
-        return _run(given)
+        return _run(given) if given.command == "run" else _prove(given)
     except (SceneError, backend.BackendError) as error:
         print(f"taichi-eye: {error}", file=sys.stderr)
         return 2
@@ -65,3 +73,14 @@ def _run(given) -> int:
     print(f"{result.folder}: apex {apex['peak']:.3f} mm at {apex['peak_time_ms']:.2f} ms, "
           f"{result.summary['wall_clock']['total_s']:.1f} s")
     return 0
+
+
+def _prove(given) -> int:
+    from importlib import import_module
+
+    proof = import_module(f"taichi_eye.proof.{given.command}")
+    unknown = [name for name in given.only if name not in proof.PARTS]
+    if unknown:
+        raise SceneError(f"--only {unknown[0]}: {given.command} has {', '.join(proof.PARTS)}")
+    backend.init("cpu", "f64", given.threads)
+    return 0 if proof.report(given.only, given.out, given.json) else 1

@@ -74,7 +74,7 @@ def _lens_arc(section, spacing):
 def boundary(section: Section, spacing: float):
     """Boundary nodes and what they may do: points [b, 2], kind [b], direction [b, 2], wall_count."""
     limbus, back_z = section.limbus_radius, section.back_z
-    elements = _steps(section.radius * section.limbus_angle, spacing)
+    elements = _steps(section.cornea_length, spacing)
     points, kind, direction = [], [], []
 
     def add(nodes, what, slide=(0.0, 0.0)):
@@ -106,8 +106,10 @@ def boundary(section: Section, spacing: float):
     return np.array(points), np.array(kind, dtype=np.int32), np.array(direction), elements + 1
 
 
-def _with_images(points, spacing):
+def _with_images(section, points, spacing):
     """The points followed by their mirror images across the axis, as far as the repulsion reaches."""
+    if section.planar:
+        return points
     near = points[(points[:, 0] > 0.0) & (points[:, 0] < 2.0 * spacing)]
     return np.vstack([points, near * (-1.0, 1.0)])
 
@@ -116,7 +118,7 @@ def _relax(section, fixed, inner, spacing, rounds):
     """Move the inner nodes apart for `rounds` sweeps with steps that shrink to rest."""
     reach = REACH * spacing
     for sweep in range(rounds):
-        everyone = _with_images(np.vstack([fixed, inner]), spacing)
+        everyone = _with_images(section, np.vstack([fixed, inner]), spacing)
         distance, other = cKDTree(everyone).query(inner, k=10, distance_upper_bound=reach)
         felt = np.isfinite(distance) & (distance > 1e-9 * spacing)
         away = inner[:, None] - everyone[np.where(felt, other, 0)]
@@ -153,7 +155,7 @@ def circumradii(points, triangles):
 
 def _holes(section, points, spacing):
     """The largest hole away from the boundary's own slivers: its radius and middle."""
-    everyone = _with_images(points, spacing)
+    everyone = _with_images(section, points, spacing)
     triangles = triangulate(section, everyone, spacing)
     middle = everyone[triangles].mean(1)
     inside = (section.wall_clearance(middle) > 0.02 * spacing) & (middle[:, 0] >= 0.0)
@@ -167,7 +169,12 @@ def pack(section: Section, spacing: float, rounds: int = 300, repairs: int = 40)
 
     Raises SceneError where holes or gaps cannot be repaired (the spacing is too coarse for the section).
     """
-    fixed, kind, direction, wall_count = boundary(section, spacing)
+    return fill(section, spacing, *boundary(section, spacing), rounds, repairs)
+
+
+def fill(section: Section, spacing: float, fixed, kind, direction, wall_count: int, rounds: int = 300,
+         repairs: int = 40) -> Cloud:
+    """A packed cloud inside given boundary nodes (as `boundary` returns them); raises like `pack`."""
     row = spacing * np.sqrt(3.0) / 2.0
     r, z = np.meshgrid(np.arange(spacing, section.limbus_radius + spacing, spacing),
                        np.arange(section.back_z + row, section.apex_z, row))
@@ -181,7 +188,7 @@ def pack(section: Section, spacing: float, rounds: int = 300, repairs: int = 40)
     for _ in range(repairs):
         points = np.vstack([fixed, inner])
         hole, middle = _holes(section, points, spacing)
-        gap = cKDTree(_with_images(points, spacing)).query(inner, k=2)[0][:, 1]
+        gap = cKDTree(_with_images(section, points, spacing)).query(inner, k=2)[0][:, 1]
         if hole <= HOLE_LIMIT * spacing and gap.min() >= GAP_LIMIT * spacing:
             break
         if hole > HOLE_LIMIT * spacing:
@@ -194,15 +201,16 @@ def pack(section: Section, spacing: float, rounds: int = 300, repairs: int = 40)
                          f"(at most {HOLE_LIMIT}) or a gap of {gap.min() / spacing:.2f} (at least {GAP_LIMIT}) "
                          "spacings in this chamber; take another spacing, smaller if in doubt")
     inner = inner[np.lexsort((inner[:, 1], np.floor(inner[:, 0] / (3.0 * spacing))))]
-    return _finish(section, spacing, np.vstack([fixed, inner]), kind, direction, wall_count)
+    return complete(section, spacing, np.vstack([fixed, inner]), kind, direction, wall_count)
 
 
-def _finish(section, spacing, points, kind, direction, wall_count):
+def complete(section: Section, spacing: float, points, kind, direction, wall_count: int) -> Cloud:
+    """The cloud of the given nodes, boundary first; kind and direction of the boundary nodes (the rest is free)."""
     free = len(points) - len(kind)
     kind = np.concatenate([kind, np.full(free, FREE, dtype=np.int32)])
     direction = np.vstack([direction, np.zeros((free, 2))])
     r, z = points[:, 0], points[:, 1]
-    place = np.arcsin(np.minimum(r / section.radius, 1.0)) / section.limbus_angle * (wall_count - 1)
+    place = section.cornea_share(r) * (wall_count - 1)
     wall_index = np.minimum(place.astype(np.int32), wall_count - 2)
     gap = section.cornea_height(r) - section.back_height(r)
     height = np.where(gap > 1e-6 * spacing, (z - section.back_height(r)) / np.maximum(gap, 1e-6 * spacing), 0.0)

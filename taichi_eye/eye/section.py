@@ -23,6 +23,7 @@ class Section:
     depth: float
     lens_radius: float = 0.0
     lens_height: float = 0.0
+    planar = False  # whether the left edge, r = 0, is an edge and no axis
 
     @classmethod
     def from_scene(cls, scene) -> "Section":
@@ -55,6 +56,15 @@ class Section:
     def lens_base_radius(self) -> float:
         """Radius of the circle in which the lens cap meets the back plane."""
         return float(np.sqrt(max(2.0 * self.lens_radius * self.lens_height - self.lens_height**2, 0.0)))
+
+    @property
+    def cornea_length(self) -> float:
+        """Arc length of the cornea from apex to limbus."""
+        return self.radius * self.limbus_angle
+
+    def cornea_share(self, r):
+        """Share of the cornea's arc, from the apex, that lies within radius r [m]."""
+        return np.arcsin(np.minimum(r / self.radius, 1.0)) / self.limbus_angle
 
     def cornea_height(self, r):
         """z of the cornea at rest over radius r [m]; the limbus plane beyond the limbus."""

@@ -36,11 +36,12 @@ def place_of(points: ti.template(), entry: ti.i32):
 class NeighbourLists:
     """For each node the entries within a search radius, nearest first.
 
-    capacity: nodes; width: entries kept per node (the nearest ones). After `search`: found[i] entries in entry[i, :].
+    capacity: nodes; width: entries kept per node (the nearest ones); planar: no axis, so no images. After `search`:
+    found[i] entries in entry[i, :].
     """
 
-    def __init__(self, capacity: int, width: int):
-        self.capacity, self.width = capacity, width
+    def __init__(self, capacity: int, width: int, planar: bool = False):
+        self.capacity, self.width, self.planar = capacity, width, planar
         self.count = ti.field(ti.i32, ())
         self.entry = ti.field(ti.i32, (capacity, width))
         self.distance2 = ti.field(real(), (capacity, width))
@@ -103,10 +104,11 @@ class NeighbourLists:
                         j = self.sorted[place]
                         if j != i:
                             self._insert(i, j, (points[j] - points[i]).norm_sqr(), radius)
-                        if points[j][0] > 0.0:
-                            image = points[j]
-                            image[0] = -image[0]
-                            self._insert(i, -1 - j, (image - points[i]).norm_sqr(), radius)
+                        if ti.static(not self.planar):
+                            if points[j][0] > 0.0:
+                                image = points[j]
+                                image[0] = -image[0]
+                                self._insert(i, -1 - j, (image - points[i]).norm_sqr(), radius)
 
     @ti.func
     def _insert(self, i, entry, distance2, radius):

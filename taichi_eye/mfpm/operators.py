@@ -48,11 +48,11 @@ class MfpmOperators:
 
     neighbours: lists whose entries the stencils take, nearest first. After `choose_stencils` and `rebuild`:
     size[i] entries, gradient weights [1/m], Laplacian weights [1/m^2] (axisymmetric), pair weights [1/m^2], and the
-    condition number of each scaled moment matrix.
+    condition number of each scaled moment matrix. Where the lists are planar, r and z are plain Cartesian coordinates.
     """
 
     def __init__(self, neighbours: NeighbourLists, basis: str):
-        self.neighbours, self.basis = neighbours, basis
+        self.neighbours, self.basis, self.planar = neighbours, basis, neighbours.planar
         self.terms = TERMS[basis]
         fp, shape = real(), (neighbours.capacity, neighbours.width)
         self.size = ti.field(ti.i32, neighbours.capacity)
@@ -178,7 +178,9 @@ class MfpmOperators:
             second_r = derivative[2] * per_length * per_length
             second_z = derivative[4] * per_length * per_length
             self.gradient_weight[i, k] = gradient
-            if axis_distance > 0.0:
+            if ti.static(self.planar):
+                self.laplacian_weight[i, k] = second_r + second_z
+            elif axis_distance > 0.0:
                 self.laplacian_weight[i, k] = second_r + second_z + gradient[0] / axis_distance
             else:
                 self.laplacian_weight[i, k] = 2.0 * second_r + second_z
@@ -225,7 +227,9 @@ class MfpmOperators:
     def divergence_from(self, i, points: ti.template(), u: ti.template(), gradient):
         """Axisymmetric divergence u_r,r + u_r / r + u_z,z at node i from its velocity gradient."""
         hoop = gradient[0, 0]
-        if points[i][0] > 0.0:
+        if ti.static(self.planar):
+            hoop = 0.0
+        elif points[i][0] > 0.0:
             hoop = u[i][0] / ti.max(points[i][0], 1e-30)
         return gradient[0, 0] + hoop + gradient[1, 1]
 
@@ -240,10 +244,11 @@ class MfpmOperators:
             weight = self.laplacian_weight[i, k]
             total[0] += weight * (sign * there[0] - here[0])
             total[1] += weight * (there[1] - here[1])
-        if points[i][0] > 0.0:
-            total[0] -= here[0] / ti.max(points[i][0] ** 2, 1e-30)
-        else:
-            total[0] = 0.0
+        if ti.static(not self.planar):
+            if points[i][0] > 0.0:
+                total[0] -= here[0] / ti.max(points[i][0] ** 2, 1e-30)
+            else:
+                total[0] = 0.0
         return total
 
     @ti.kernel

@@ -41,13 +41,14 @@ CORNERS = 12  # triangles that may meet in a node
 class Aqueous:
     """Nodes of the aqueous humour in fields; the first `wall_count` are the cornea's, in its order.
 
-    place [m], velocity [m/s], pressure (excess over the IOP) [Pa], volume of a node's ring [m^3].
+    place [m], velocity [m/s], pressure (excess over the IOP) [Pa], volume of a node's ring [m^3]. planar: a plane flow
+    in (x, z) instead, volumes per metre of depth; verification problems use it.
     """
 
-    def __init__(self, capacity: int, basis: str):
+    def __init__(self, capacity: int, basis: str, planar: bool = False):
         fp = real()
-        self.capacity, self.basis, self.nodes = capacity, basis, 0
-        self.neighbours = NeighbourLists(capacity, WIDTH[basis])
+        self.capacity, self.basis, self.planar, self.nodes = capacity, basis, planar, 0
+        self.neighbours = NeighbourLists(capacity, WIDTH[basis], planar)
         self.operators = MfpmOperators(self.neighbours, basis)
         # the dissipation stays on the quadratic basis, whichever basis the equations take
         self.smoother = self.operators if basis == "quadratic" else MfpmOperators(self.neighbours, "quadratic")
@@ -73,8 +74,11 @@ class Aqueous:
         self.rest_volume, self.pressure_shift = ti.field(fp, ()), ti.field(fp, ())
 
     def setup(self, cloud: Cloud, density: float, viscosity: float, sound_speed: float, dissipation: float,
-              no_slip: bool = False) -> None:
-        """Place the nodes at rest, choose their stencils and compute all weights (SI units)."""
+              no_slip: bool = False, stencil: int | None = None) -> None:
+        """Place the nodes at rest, choose their stencils and compute all weights (SI units).
+
+        stencil: neighbours wanted per node; the basis has its own number.
+        """
         self.nodes = count = cloud.count
         corner = np.zeros((count, CORNERS), dtype=np.int32)
         corners = np.zeros(count, dtype=np.int32)
@@ -87,7 +91,7 @@ class Aqueous:
         self._load_chamber(cloud.triangles, cloud.wall_count, cloud.section.volume(), density, viscosity, sound_speed,
                            dissipation * sound_speed * cloud.spacing, no_slip)
         self.neighbours.search(self.place, count, SEARCH_RADIUS[self.basis] * cloud.spacing)
-        self.operators.choose_stencils(self.place, STENCIL[self.basis], CONDITION_LIMIT[self.basis])
+        self.operators.choose_stencils(self.place, stencil or STENCIL[self.basis], CONDITION_LIMIT[self.basis])
         if self.smoother is not self.operators:
             self.smoother.choose_stencils(self.place, STENCIL["quadratic"], CONDITION_LIMIT["quadratic"])
         self.rebuild()
@@ -151,7 +155,10 @@ class Aqueous:
                 t = self.corner[i, k]
                 radii = (self.place[self.triangle[t, 0]][0] + self.place[self.triangle[t, 1]][0]
                          + self.place[self.triangle[t, 2]][0] + self.place[i][0])
-                volume += 2.0 * ti.math.pi * self.triangle_area(t) * radii / 12.0
+                if ti.static(self.planar):
+                    volume += self.triangle_area(t) / 3.0
+                else:
+                    volume += 2.0 * ti.math.pi * self.triangle_area(t) * radii / 12.0
             self.volume[i] = volume
 
     @ti.func

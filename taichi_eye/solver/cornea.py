@@ -34,11 +34,15 @@ class Cornea:
 
     place, velocity, acceleration: [m], [m/s], [m/s^2]; rest: reference places; force_air, force_solid: forces [N] of the
     air and of everything else but the fluid's excess pressure; stress: S1, S2 of each element [Pa].
+
+    Verification problems change three things. law: "exponential" (the tissue) or "tension" (a film of constant Cauchy
+    stress `material[0]` in Pa, like a soap film). rim: "clamped" (the limbus), "sliding_r" or "sliding_z" (a symmetry
+    plane in which the last node moves along r or along z). planar: a strip of unit depth in (x, z), without hoop strain.
     """
 
-    def __init__(self, capacity: int):
+    def __init__(self, capacity: int, law: str = "exponential", rim: str = "clamped", planar: bool = False):
         fp = real()
-        self.capacity = capacity
+        self.capacity, self.law, self.rim, self.planar = capacity, law, rim, planar
         self.elements = ti.field(ti.i32, ())
         vector = lambda: ti.Vector.field(2, fp, capacity)
         scalar = lambda: ti.field(fp, capacity)
@@ -65,9 +69,12 @@ class Cornea:
         # half an element on either side of a node
         ring[:-1] += np.pi * length * (0.75 * nodes[:-1, 0] + 0.25 * nodes[1:, 0])
         ring[1:] += np.pi * length * (0.25 * nodes[:-1, 0] + 0.75 * nodes[1:, 0])
+        volume = thickness * 2.0 * np.pi * radius * length
+        if self.planar:
+            ring = 0.5 * (np.append(length, 0.0) + np.append(0.0, length))
+            volume = thickness * length
         shape = np.asarray(load_shape, dtype=float)
-        self._load(np.ascontiguousarray(nodes), density * thickness * ring, length, radius,
-                   thickness * 2.0 * np.pi * radius * length, shape, *material, iop)
+        self._load(np.ascontiguousarray(nodes), density * thickness * ring, length, radius, volume, shape, *material, iop)
         self._store_rest_residual()
 
     @ti.kernel
@@ -92,19 +99,32 @@ class Cornea:
     @ti.func
     def stress_of(self, e):
         """S1, S2 [Pa] and W [J/m^3] at the shifted strains e = (e1, e2)."""
-        stiffness, s, nu = self.material[0], self.material[1], self.material[2]
-        total = e[0] + e[1]
-        grown = ti.exp(s * ((1.0 - nu) * (e[0] * e[0] + e[1] * e[1]) + nu * total * total))
-        factor = 2.0 * stiffness * s * grown
-        return ti.Vector([factor * ((1.0 - nu) * e[0] + nu * total), factor * ((1.0 - nu) * e[1] + nu * total)]), \
-            stiffness * (grown - 1.0)
+        if ti.static(self.law == "tension"):
+            # W = S lam1 lam2: tension times area
+            lam1, lam2 = ti.sqrt(1.0 + 2.0 * (e[0] - self.material[3])), ti.sqrt(1.0 + 2.0 * (e[1] - self.material[3]))
+            return self.material[0] * ti.Vector([lam2 / lam1, lam1 / lam2]), self.material[0] * (lam1 * lam2 - 1.0)
+        else:
+            stiffness, s, nu = self.material[0], self.material[1], self.material[2]
+            total = e[0] + e[1]
+            grown = ti.exp(s * ((1.0 - nu) * (e[0] * e[0] + e[1] * e[1]) + nu * total * total))
+            factor = 2.0 * stiffness * s * grown
+            return ti.Vector([factor * ((1.0 - nu) * e[0] + nu * total), factor * ((1.0 - nu) * e[1] + nu * total)]), \
+                stiffness * (grown - 1.0)
+
+    @ti.func
+    def hoop_stretch(self, k):
+        """lam2 of element k."""
+        if ti.static(self.planar):
+            return 1.0
+        else:
+            return 0.5 * (self.place[k][0] + self.place[k + 1][0]) / self.element_radius[k]
 
     @ti.func
     def strain_of(self, k):
         """Shifted strains e1, e2 of element k."""
         edge = self.place[k + 1] - self.place[k]
         lam1_squared = edge.norm_sqr() / self.element_length[k] ** 2
-        lam2 = 0.5 * (self.place[k][0] + self.place[k + 1][0]) / self.element_radius[k]
+        lam2 = self.hoop_stretch(k)
         shift = self.material[3]
         return ti.Vector([0.5 * (lam1_squared - 1.0) + shift, 0.5 * (lam2 * lam2 - 1.0) + shift])
 
@@ -113,10 +133,13 @@ class Cornea:
         """Edge tension (N, along the edge, pulling node k outwards) and hoop force (N) of element k."""
         stress, energy = self.stress_of(self.strain_of(k))
         edge = self.place[k + 1] - self.place[k]
-        lam2 = 0.5 * (self.place[k][0] + self.place[k + 1][0]) / self.element_radius[k]
+        lam2 = self.hoop_stretch(k)
         self.stress[k] = stress
         self.tension[k] = edge * (self.element_volume[k] * stress[0] / self.element_length[k] ** 2)
-        self.hoop[k] = self.element_volume[k] * stress[1] * lam2 * 0.5 / self.element_radius[k]
+        if ti.static(self.planar):
+            self.hoop[k] = 0.0
+        else:
+            self.hoop[k] = self.element_volume[k] * stress[1] * lam2 * 0.5 / self.element_radius[k]
 
     @ti.func
     def elastic_force(self, i):
@@ -137,11 +160,17 @@ class Cornea:
         if i > 0:
             edge = self.place[i] - self.place[i - 1]
             radius = 0.5 * (self.place[i][0] + self.place[i - 1][0])
-            gradient += ti.math.pi * radius * ti.Vector([-edge[1], -radius])
+            if ti.static(self.planar):
+                gradient += 0.5 * ti.Vector([-edge[1], edge[0]])
+            else:
+                gradient += ti.math.pi * radius * ti.Vector([-edge[1], -radius])
         if i < self.elements[None]:
             edge = self.place[i + 1] - self.place[i]
             radius = 0.5 * (self.place[i][0] + self.place[i + 1][0])
-            gradient += ti.math.pi * radius * ti.Vector([-edge[1], radius])
+            if ti.static(self.planar):
+                gradient += 0.5 * ti.Vector([-edge[1], edge[0]])
+            else:
+                gradient += ti.math.pi * radius * ti.Vector([-edge[1], radius])
         return gradient
 
     @ti.func
@@ -151,7 +180,12 @@ class Cornea:
         if i == 0:
             kept[0] = 0.0
         if i == self.elements[None]:
-            kept = ti.Vector([0.0, 0.0])
+            if ti.static(self.rim == "sliding_r"):
+                kept[1] = 0.0
+            elif ti.static(self.rim == "sliding_z"):
+                kept[0] = 0.0
+            else:
+                kept = ti.Vector([0.0, 0.0])
         return kept
 
     @ti.func
@@ -178,7 +212,10 @@ class Cornea:
         volume = 0.0
         for k in range(self.elements[None]):
             a, b = self.place[k], self.place[k + 1]
-            volume += ti.math.pi * (0.5 * (a[0] + b[0])) ** 2 * (a[1] - b[1])
+            if ti.static(self.planar):
+                volume += 0.5 * (a[1] + b[1]) * (b[0] - a[0])
+            else:
+                volume += ti.math.pi * (0.5 * (a[0] + b[0])) ** 2 * (a[1] - b[1])
         return volume
 
     @ti.kernel
