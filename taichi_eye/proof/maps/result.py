@@ -46,8 +46,8 @@ def dots(axes, x, y, causes, size: float = 42.0) -> None:
                          label="ran to its end", zorder=3)
 
 
-def finish(axes, title: str, x: str, y: str, *, log: str = "", legend: str = "best") -> None:
-    """Titles, scales and the legend of one panel."""
+def finish(axes, title: str, x: str, y: str, *, log: str = "", legend: str = "best", ticks=None) -> None:
+    """Titles, scales, the legend and, given as (x, y), the ticks of one panel."""
     axes.set_title(title, fontsize=11)
     axes.set_xlabel(x)
     axes.set_ylabel(y)
@@ -55,5 +55,9 @@ def finish(axes, title: str, x: str, y: str, *, log: str = "", legend: str = "be
         axes.set_xscale("log")
     if "y" in log:
         axes.set_yscale("log")
+    if ticks:
+        axes.set_xticks(ticks[0], [f"{v:g}" for v in ticks[0]])
+        axes.set_yticks(ticks[1], [f"{v:g}" for v in ticks[1]])
+        axes.minorticks_off()
     if axes.get_legend_handles_labels()[0]:
         axes.legend(fontsize=8, frameon=True, framealpha=0.85, edgecolor="none", loc=legend)

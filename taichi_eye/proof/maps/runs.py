@@ -17,9 +17,9 @@ COARSE = {"numerics.spacing_mm": 0.28, "numerics.sound_speed_m_s": 40.0}
 
 # what a stop is about, in a word, and the colour of its dot
 CAUSES = {"taut and sound": "#3d8b57", "slack": "#c9641a", "back": "#a88a1a", "cross": "#8c3a8c", "singular": "#4c5560",
-          "finite": "#b03a48", "energy": "#b03a48", "converge": "#14539a"}
+          "finite": "#8a2030", "viscosity": "#2a9d9d", "energy": "#b03a48", "converge": "#14539a"}
 NAMES = {"slack": "cornea went slack", "back": "reached the back", "cross": "nodes about to cross",
-         "singular": "stencil singular", "finite": "not finite", "energy": "energy grew without work",
+         "singular": "stencil singular", "finite": "not finite", "viscosity": "viscous loss not balanced", "energy": "energy grew without work",
          "converge": "iteration did not converge"}
 
 _clouds: dict[tuple, Cloud] = {}
