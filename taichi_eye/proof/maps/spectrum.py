@@ -90,7 +90,8 @@ def spectrum(say=print) -> Map:
         axes.set_ylim(5e-9, 30.0)
     default, at = rates[variants[0][0]], DISSIPATION.index(0.5)
     worst = max(rates, key=lambda name: rates[name][at])
-    found = [f"The default (packed, quadratic, 14 neighbours, dissipation 0.5) grows at {default[at]:.1e} c/h; accepted {ACCEPTED:g}.",
+    found = [f"The default (packed, quadratic, 14 neighbours, dissipation 0.5): fastest growing mode {default[at]:.1e} c/h, accepted "
+             f"{ACCEPTED:g}.",
              f"The naive scheme, no dissipation, grows at {default[0]:.2g} c/h: it fails within {20 / (default[0] * unit) * 1e3:.1g} "
              "ms whatever the time step.",
              f"At dissipation 0.5 the worst variant is \"{worst}\": {rates[worst][at]:.1e} c/h."]
