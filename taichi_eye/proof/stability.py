@@ -91,7 +91,7 @@ def spectrum(say):
     canvas = Figure(figsize=(9, 5), dpi=110, layout="constrained")
     axes = canvas.subplots()
     for k, (name, rates) in enumerate(figures.items()):
-        axes.plot(alphas, np.maximum(rates, 1e-8), "o-", color=COLOURS[k % len(COLOURS)],
+        axes.plot(alphas, np.maximum(rates, 1e-8), marker="o", color=COLOURS[k % len(COLOURS)],
                   linestyle="-" if k < 8 else "--", label=name, markersize=4)
     axes.axhline(ACCEPTED, color="#22262b", linestyle=":", label="accepted: 1e-4")
     axes.axvline(scene.numerics.dissipation, color="#8a9199", linewidth=1, label="default dissipation")
