@@ -14,7 +14,7 @@ from taichi_eye.backend import real
 from taichi_eye.cloud.packing import Cloud
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.cornea import Cornea
-from taichi_eye.solver.coupling import Coupling
+from taichi_eye.solver.coupling import NOT_CONVERGED, Coupling
 
 PERTURBATION = 1e-7  # of each variable's own scale: small enough to be linear, large enough for 1e-9 of accuracy
 
@@ -108,12 +108,12 @@ class CoupledSystem:
         return after
 
     def run(self, state, dt: float, steps: int):
-        """The state `steps` steps of dt [s] after `state`, as a run takes them."""
+        """The state `steps` steps of dt [s] after `state`, as a run takes them; None where the coupling gave up."""
         self._load(state)
         self.coupling.setup(self.iterated, False, 1.0, 1e-10, self.sweeps_max)
-        for start in range(0, steps, 500):
-            self.coupling.status[None] = 0
-            self.coupling.advance(np.zeros(min(500, steps - start)), dt, dt)
+        self.coupling.advance(np.zeros(steps), dt, dt)
+        if self.coupling.status[None] == NOT_CONVERGED:
+            return None
         after = np.empty_like(state)
         self._store(after)
         return after
