@@ -11,7 +11,7 @@ from taichi_eye.film import FilmView
 from taichi_eye.report.traces import read_traces
 
 TINY = ["numerics.spacing_mm=0.3", "numerics.sound_speed_m_s=15", "numerics.duration_ms=1.7"]
-ALWAYS = {"film.mp4", "apex.png", "sheet.png", "traces.csv", "summary.json", "scene.toml"}
+ALWAYS = {"film.mp4", "apex.png", "sheet.png", "traces.csv", "wall.npz", "summary.json", "scene.toml"}
 
 
 def names(folder):

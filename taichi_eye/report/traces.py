@@ -16,7 +16,7 @@ COLUMNS = (
     "apex_velocity_m_s",           # inward positive
     "puff_apex_kpa",               # load on the apex
     "fluid_pressure_apex_kpa",     # gauge pressure of the fluid under the apex
-    "chamber_volume_error",        # relative to the volume at rest
+    "chamber_volume_error",        # volume less that at rest, over it; what left where fluid may leave
     "puff_work_uj",                # work of the puff since t = 0
     "cornea_elastic_uj",
     "cornea_kinetic_uj",
@@ -24,6 +24,7 @@ COLUMNS = (
     "aqueous_elastic_uj",
     "viscous_loss_uj",             # lost to viscosity since t = 0
     "numerical_loss_uj",           # lost to the dissipation of the scheme since t = 0
+    "outflow_loss_uj",             # carried off by fluid that left an open chamber since t = 0
     "energy_error_uj",             # work in, less what is stored, less what is lost
     "coupling_iterations",
     "coupling_residual",

@@ -85,9 +85,12 @@ class Cornea:
 class Chamber:
     """The anterior chamber behind the cornea; its back is rigid"""
 
+    sealed: bool = key(True, "no fluid leaves; false: it leaves everywhere at the rate that holds the mean pressure at "
+                       "the IOP")
+
     depth_mm: float = key(AUTO, "apex to back plane on the axis, at least the cap depth; auto: the cap depth",
                           unit="mm", above=0, at_most=100)
-    compliance_mm3_mmhg: float = key(0.0, "volume that the rest of the globe takes up per pressure; 0: sealed",
+    compliance_mm3_mmhg: float = key(0.0, "volume that the rest of the globe takes up per pressure, where sealed",
                                      unit="mm^3/mmHg", at_least=0, at_most=100)
     lens_radius_mm: float = key(0.0, "radius of curvature of a lens cap on the back plane; 0: none",
                                 unit="mm", at_least=0, at_most=100)
@@ -99,7 +102,7 @@ class Chamber:
 class Aqueous:
     """The aqueous humour: Newtonian, weakly compressible"""
 
-    density_kg_m3: float = key(1000.0, "density at rest", unit="kg/m^3", at_least=100, at_most=10000)
+    density_kg_m3: float = key(1000.0, "density at rest", unit="kg/m^3", at_least=1, at_most=10000)
     viscosity_mpa_s: float = key(0.8, "dynamic viscosity", unit="mPa s", at_least=0, at_most=1000)
 
 

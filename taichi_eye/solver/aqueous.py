@@ -25,6 +25,12 @@ coupled modes (309, 550, 804 Hz): none, 19/s, 133/s at h 0.25 mm and none, 4/s, 
 Mass fix. Collocation does not conserve mass to rounding, and in a sealed chamber a volume error is a pressure error. The
 mean density has a known value at every instant, rho0 V0 / V with V the volume under the membrane, so each step adds the
 uniform pressure that was missing at its start. It converges to nothing with h and leaves all other modes alone.
+
+Open chamber. To ask what the sealed volume does, fluid may leave: a sink of uniform rate q [1/s] takes it with the
+velocity and the pressure it has, so momentum keeps its equation and continuity becomes
+    dp/dt = -(rho0 c^2 + p)(div u + q) + ...,    q = -(dV/dt) / V  from the wall's velocity of the same step,
+which holds the mean excess pressure at zero (the mass fix then removes what collocation leaves of it). The leaving
+fluid carries off q (rho u^2/2 + p + elastic energy) per volume and time, and does the work IOP (V0 - V) outside.
 """
 import numpy as np
 import taichi as ti
@@ -54,6 +60,7 @@ class Aqueous:
         self.smoother = self.operators if basis == "quadratic" else MfpmOperators(self.neighbours, "quadratic")
         self.count = self.neighbours.count
         self.wall_count, self.no_slip = ti.field(ti.i32, ()), ti.field(ti.i32, ())
+        self.sealed, self.outflow = ti.field(ti.i32, ()), ti.field(fp, ())  # q [1/s], 0 where sealed
         vector = lambda: ti.Vector.field(2, fp, capacity)
         scalar = lambda: ti.field(fp, capacity)
         self.rest, self.place, self.velocity, self.candidate, self.slide = (vector() for _ in range(5))
@@ -62,6 +69,7 @@ class Aqueous:
         self.velocity_gradient = ti.Matrix.field(2, 2, fp, capacity)
         self.smooth_velocity_gradient = ti.Matrix.field(2, 2, fp, capacity)
         self.pressure_dissipation, self.viscous_loss, self.numerical_loss = (scalar() for _ in range(3))
+        self.outflow_loss = scalar()
         self.kind, self.wall_index = ti.field(ti.i32, capacity), ti.field(ti.i32, capacity)
         self.wall_fraction, self.height_fraction = scalar(), scalar()
         self.triangle_count = ti.field(ti.i32, ())
@@ -75,7 +83,7 @@ class Aqueous:
         self.pressure_shift = ti.field(fp, ())
 
     def setup(self, cloud: Cloud, density: float, viscosity: float, sound_speed: float, dissipation: float,
-              no_slip: bool = False, stencil: int | None = None) -> None:
+              no_slip: bool = False, sealed: bool = True, stencil: int | None = None) -> None:
         """Place the nodes at rest, choose their stencils and compute all weights (SI units).
 
         stencil: neighbours wanted per node; the basis has its own number.
@@ -90,7 +98,7 @@ class Aqueous:
         self._load(cloud.points, cloud.kind, cloud.direction, cloud.wall_index, cloud.wall_fraction,
                    cloud.height_fraction, corner, corners)
         self._load_chamber(cloud.triangles, cloud.wall_count, cloud.section.volume(), density, viscosity, sound_speed,
-                           dissipation * sound_speed * cloud.spacing, no_slip)
+                           dissipation * sound_speed * cloud.spacing, no_slip, sealed)
         self.neighbours.search(self.place, count, SEARCH_RADIUS[self.basis] * cloud.spacing)
         self.operators.choose_stencils(self.place, stencil or STENCIL[self.basis], CONDITION_LIMIT[self.basis])
         if self.smoother is not self.operators:
@@ -118,14 +126,16 @@ class Aqueous:
             self.velocity_gradient[i] = ti.Matrix([[0.0, 0.0], [0.0, 0.0]])
             self.smooth_velocity_gradient[i] = ti.Matrix([[0.0, 0.0], [0.0, 0.0]])
             self.pressure_dissipation[i], self.viscous_loss[i], self.numerical_loss[i] = 0.0, 0.0, 0.0
+            self.outflow_loss[i] = 0.0
 
     @ti.kernel
     def _load_chamber(self, triangles: ti.types.ndarray(), wall_count: int, volume: float, density: float,
-                      viscosity: float, sound_speed: float, dissipation_length: float, no_slip: int):
+                      viscosity: float, sound_speed: float, dissipation_length: float, no_slip: int, sealed: int):
         self.wall_count[None], self.triangle_count[None] = wall_count, triangles.shape[0]
         self.rest_volume[None], self.last_volume[None], self.pressure_shift[None] = volume, volume, 0.0
         self.density0[None], self.viscosity[None], self.sound_speed[None] = density, viscosity, sound_speed
         self.dissipation_length[None], self.no_slip[None] = dissipation_length, no_slip
+        self.sealed[None], self.outflow[None] = sealed, 0.0
         for t in range(triangles.shape[0]):
             for k in ti.static(range(3)):
                 self.triangle[t, k] = triangles[t, k]
@@ -265,25 +275,32 @@ class Aqueous:
         """dp/dt [Pa/s] of node i with the divergence given."""
         slip = self.velocity[i] - self.wall_share(i, wall_velocity)
         return (self.pressure_dissipation[i] - slip.dot(self.pressure_gradient[i])
-                - (self.density0[None] * self.sound_speed[None] ** 2 + self.pressure[i]) * divergence)
+                - (self.density0[None] * self.sound_speed[None] ** 2 + self.pressure[i])
+                * (divergence + self.outflow[None]))
 
     @ti.func
     def compress(self, i, dt, wall_velocity: ti.template()):
-        """Continuity: the pressure of node i at the end of the step, and what viscosity has dissipated."""
+        """Continuity: the pressure of node i at the end of the step, and what viscosity and outflow have taken."""
         self.pressure[i] += dt * self.pressure_rate(i, self.divergence[i], wall_velocity) + self.pressure_shift[None]
         self.potential[i] = self.pressure[i] - self.viscosity[None] / 3.0 * self.divergence[i]
         g, divergence = self.velocity_gradient[i], self.divergence[i]
         hoop = divergence - g[0, 0] - g[1, 1]
         squares = g[0, 0] ** 2 + g[1, 1] ** 2 + hoop ** 2 + 0.5 * (g[0, 1] + g[1, 0]) ** 2 - divergence ** 2 / 3.0
         self.viscous_loss[i] += dt * self.volume[i] * 2.0 * self.viscosity[None] * squares
+        if self.sealed[None] == 0:
+            rho = self.density(i)
+            self.outflow_loss[i] += dt * self.outflow[None] * self.volume[i] * (
+                0.5 * rho * self.velocity[i].norm_sqr() + self.pressure[i] + rho * self.stored_at(i))
 
     @ti.func
     def missing_pressure(self, volume):
         """The uniform pressure [Pa] that restores the mean density of the chamber at its volume [m^3].
 
+        In an open chamber: that brings the mean excess pressure back to zero.
+
         Where the rest of the globe yields, by compliance [m^3/Pa] times the mean pressure, that much aqueous humour
-        has left, from everywhere alike: the eye behind the iris is not resolved. The next step's continuity knows nothing
-        of that; what it is going to bring too much, by the last change of volume, is taken off beforehand.
+        has left, from everywhere alike: the eye behind the iris is not resolved. The next step's continuity knows
+        nothing of that; what it is going to bring too much, by the last change of volume, is taken off beforehand.
         """
         total, weight = 0.0, 0.0
         for i in range(self.count[None]):
@@ -291,27 +308,31 @@ class Aqueous:
             weight += self.volume[i]
         stiffness = self.density0[None] * self.sound_speed[None] ** 2
         yielding = 1.0 + stiffness * self.compliance[None] / volume
+        mean = stiffness * (self.rest_volume[None] / volume - 1.0) / yielding
         coming = stiffness * (self.last_volume[None] / volume - 1.0) * (1.0 - 1.0 / yielding)
         self.last_volume[None] = volume
-        return stiffness * (self.rest_volume[None] / volume - 1.0) / yielding - total / weight - coming
+        if self.sealed[None] == 0:
+            mean, coming = 0.0, 0.0
+        return mean - total / weight - coming
+
+    @ti.func
+    def stored_at(self, i):
+        """Elastic energy [J/kg] of node i relative to rest: the integral of p / rho^2 d rho, without the IOP."""
+        c2 = self.sound_speed[None] ** 2
+        ratio = self.pressure[i] / (self.density0[None] * c2)
+        # ln(1 + x) - x / (1 + x), by its series where the difference would cancel
+        stored = ti.log(1.0 + ratio) - ratio / (1.0 + ratio)
+        if ti.abs(ratio) < 0.01:
+            stored = ratio * ratio * (0.5 - ratio * (2.0 / 3.0 - ratio * (0.75 - 0.8 * ratio)))
+        return c2 * stored
 
     @ti.func
     def energies(self, volume):
-        """Kinetic energy and elastic energy relative to rest [J] of the whole liquid.
-
-        Elastic: mass times the integral of (IOP excluded) p / rho^2 d rho; the IOP's part is left to the caller.
-        """
+        """Kinetic energy and elastic energy relative to rest [J] of the whole liquid; the IOP's part is left out."""
         kinetic, elastic, weight = 0.0, 0.0, 0.0
-        c2 = self.sound_speed[None] ** 2
-        rho0 = self.density0[None]
         for i in range(self.count[None]):
             rho = self.density(i)
             kinetic += 0.5 * rho * self.volume[i] * self.velocity[i].norm_sqr()
-            ratio = self.pressure[i] / (rho0 * c2)
-            # ln(1 + x) - x / (1 + x), by its series where the difference would cancel
-            stored = ti.log(1.0 + ratio) - ratio / (1.0 + ratio)
-            if ti.abs(ratio) < 0.01:
-                stored = ratio * ratio * (0.5 - ratio * (2.0 / 3.0 - ratio * (0.75 - 0.8 * ratio)))
-            elastic += rho * self.volume[i] * c2 * stored
+            elastic += rho * self.volume[i] * self.stored_at(i)
             weight += self.volume[i]
         return kinetic * volume / weight, elastic * volume / weight

@@ -103,6 +103,7 @@ class Coupling:
         """Step 3: iterate the membrane's acceleration; serial over the wall nodes."""
         walls = self.aqueous.wall_count[None]
         omega = self.factor[None]
+        volume = self.chamber_volume()
         sweep = 0
         residual = ti.math.inf
         going = True
@@ -112,6 +113,11 @@ class Coupling:
                 after = self.cornea.velocity[i] + 0.5 * dt * (self.cornea.acceleration[i] + self.guess[i])
                 self.wall_velocity[i] = self.cornea.held(i, 0.5 * (self.cornea.velocity[i] + after))
                 top = ti.max(top, after.norm())
+            if self.aqueous.sealed[None] == 0:
+                swept = 0.0
+                for i in range(walls):
+                    swept += self.cornea.volume_gradient(i).dot(self.wall_velocity[i])
+                self.aqueous.outflow[None] = -swept / volume
             for i in range(walls):
                 self.aqueous.velocity[i] = self.aqueous.meet_wall(i, self.cornea.place, self.wall_velocity[i])
             for i in range(walls):
@@ -157,9 +163,13 @@ class Coupling:
         self.cornea.acceleration[i] = self.guess[i]
 
     @ti.func
+    def chamber_volume(self):
+        """Volume [m^3] of the chamber under the present cornea."""
+        return self.aqueous.rest_volume[None] + self.cornea.enclosed_volume() - self.rest_enclosed[None]
+
+    @ti.func
     def _settle_pressure(self):
-        self.aqueous.pressure_shift[None] = self.aqueous.missing_pressure(
-            self.aqueous.rest_volume[None] + self.cornea.enclosed_volume() - self.rest_enclosed[None])
+        self.aqueous.pressure_shift[None] = self.aqueous.missing_pressure(self.chamber_volume())
 
     @ti.kernel
     def _advance_serially(self, puff: ti.types.ndarray(), dt: float, dt_before: float):

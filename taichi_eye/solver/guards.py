@@ -8,7 +8,7 @@ from taichi_eye.mfpm.operators import CONDITION_LIMIT
 from taichi_eye.solver.coupling import NOT_CONVERGED
 
 FLAT = 0.05  # of its area at rest: a triangle this flat is about to turn over
-CLOSED = 0.05  # of the height of the chamber at rest: the cornea is about to touch its back
+CLOSED = 0.1  # of the height of the chamber at rest: the cornea is about to touch its back
 CONDITION_GROWTH = 1e3  # over the limit that stencils are chosen by
 ENERGY_SHARE = 0.1  # of the largest work done so far
 ENERGY_FLOOR = 1e-10  # J: below it no gain is judged (the default puff works 2e-5 J)
@@ -31,7 +31,8 @@ def check(figures: dict[str, float], energy_gain: float, largest_work: float, sc
              "A membrane carries no compression: lower puff.peak_kpa, raise eye.iop_mmhg or cornea.prestrain.")
     if figures["chamber_gap"] < CLOSED:
         stop("the cornea reached the back of the chamber", figures["gap_node"],
-             "Lower puff.peak_kpa, raise eye.iop_mmhg or chamber.depth_mm.")
+             "Lower puff.peak_kpa, raise eye.iop_mmhg or chamber.depth_mm"
+             + ("." if scene.chamber.sealed else ", or keep the fluid in: chamber.sealed = true."))
     if figures["flattest_triangle"] < FLAT:
         stop("nodes are about to cross (the cloud is folded)", figures["flat_node"],
              "Lower puff.peak_kpa or numerics.spacing_mm; raise numerics.dissipation if the wall shows ripples.")

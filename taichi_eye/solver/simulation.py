@@ -64,7 +64,8 @@ class Simulation:
                           (cornea.stiffness_a_pa, s, cornea.poisson_ratio, prestrain(scene, middle)),
                           scene.eye.iop_mmhg * MMHG, self.puff.radial(nodes[:, 0]), cornea.flexural_modulus_mpa * 1e6)
         self.aqueous.setup(self.cloud, scene.aqueous.density_kg_m3, scene.aqueous.viscosity_mpa_s * MPA_S,
-                           numerics.sound_speed_m_s, numerics.dissipation, numerics.wall_condition == "no_slip")
+                           numerics.sound_speed_m_s, numerics.dissipation, numerics.wall_condition == "no_slip",
+                           scene.chamber.sealed)
         self.aqueous.compliance[None] = scene.chamber.compliance_mm3_mmhg * MM3 / MMHG
         self.coupling.setup(numerics.coupling == "iterated", numerics.relaxation == "aitken",
                             numerics.relaxation_factor, numerics.coupling_tolerance, numerics.coupling_iterations_max)
@@ -116,7 +117,8 @@ class Simulation:
         figures = self.survey.take()
         stored = sum(figures[name] for name in ("cornea_elastic", "cornea_kinetic", "aqueous_kinetic",
                                                 "aqueous_elastic"))
-        energy_error = stored + figures["viscous_loss"] + figures["numerical_loss"] - figures["puff_work"]
+        lost = figures["viscous_loss"] + figures["numerical_loss"] + figures["outflow_loss"]
+        energy_error = stored + lost - figures["puff_work"]
         self._largest_work = max(self._largest_work, abs(figures["puff_work"]))
         row = {
             "time_ms": self.time_ms,
@@ -127,7 +129,7 @@ class Simulation:
             "chamber_volume_error": figures["volume_error"],
             **{f"{name}_uj": figures[name] * 1e6 for name in
                ("puff_work", "cornea_elastic", "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic", "viscous_loss",
-                "numerical_loss")},
+                "numerical_loss", "outflow_loss")},
             "energy_error_uj": energy_error * 1e6,
             "coupling_iterations": figures["coupling_sweeps"],
             "coupling_residual": figures["coupling_residual"],

@@ -1,8 +1,9 @@
-"""What is read off the coupled state between steps: traces, energies, and the figures the guards and the time step need.
+"""What is read off the coupled state between steps: traces, energies, what the guards and the time step need.
 
 Energies, all relative to rest [J]: the puff's work must equal what cornea and aqueous humour store and move with, plus
-the viscous and the numerical loss. The aqueous humour stores the integral of p / rho^2 d rho per unit mass; its part
-with the IOP is IOP (V0 - V).
+the viscous and the numerical loss, and what fluid carries off where it may leave. The aqueous humour stores the
+integral of p / rho^2 d rho per unit mass; its part with the IOP is IOP (V0 - V), which is also what pushing fluid out
+costs.
 """
 import numpy as np
 import taichi as ti
@@ -13,11 +14,11 @@ from taichi_eye.solver.cornea import Cornea
 from taichi_eye.solver.coupling import Coupling
 
 QUANTITIES = (
-    "apex_place", "apex_velocity", "puff_apex", "fluid_pressure_apex", "volume_error", "puff_work", "cornea_elastic",
-    "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic", "viscous_loss", "numerical_loss", "least_stress",
-    "slackest_element", "membrane_speed", "transverse_speed", "membrane_step", "smallest_gap", "flattest_triangle",
-    "flat_node", "worst_condition", "ill_node", "chamber_gap", "gap_node", "not_finite", "bad_node", "fluid_speed",
-    "wall_travel", "coupling_sweeps", "coupling_residual", "coupling_status")
+    "apex_place", "apex_velocity", "fluid_pressure_apex", "volume_error", "puff_work", "cornea_elastic",
+    "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic", "viscous_loss", "numerical_loss", "outflow_loss",
+    "least_stress", "slackest_element", "membrane_speed", "transverse_speed", "membrane_step", "smallest_gap",
+    "flattest_triangle", "flat_node", "pair_weight", "worst_condition", "ill_node", "chamber_gap", "gap_node",
+    "not_finite", "bad_node", "fluid_speed", "wall_travel", "coupling_sweeps", "coupling_residual", "coupling_status")
 
 
 @ti.data_oriented
@@ -61,22 +62,27 @@ class Survey:
         for once in range(1):
             walls, nodes = self.aqueous.wall_count[None], self.aqueous.count[None]
             rest_volume = self.aqueous.rest_volume[None]
-            volume = rest_volume + self.cornea.enclosed_volume() - self.coupling.rest_enclosed[None]
+            volume = self.coupling.chamber_volume()
             kinetic, elastic = self.aqueous.energies(volume)
-            viscous, numerical, pressure_volume, total_volume = 0.0, 0.0, 0.0, 0.0
+            viscous, numerical, carried, pressure_volume, total_volume = 0.0, 0.0, 0.0, 0.0, 0.0
             bad, ill, worst, fast = -1, 0, 0.0, 0.0
-            gap = ti.math.inf
+            gap, heaviest = ti.math.inf, 0.0
             for i in range(nodes):
                 viscous += self.aqueous.viscous_loss[i]
                 pressure_volume += self.aqueous.volume[i] * self.aqueous.pressure[i]
                 total_volume += self.aqueous.volume[i]
                 numerical += self.aqueous.numerical_loss[i]
+                carried += self.aqueous.outflow_loss[i]
                 sum = self.aqueous.pressure[i] + self.aqueous.velocity[i].sum()
                 if bad < 0 and (ti.math.isnan(sum) or ti.math.isinf(sum)):
                     bad = i
                 if self.aqueous.operators.condition[i] > worst or ti.math.isnan(self.aqueous.operators.condition[i]):
                     worst, ill = self.aqueous.operators.condition[i], i
                 fast = ti.max(fast, self.aqueous.velocity[i].norm())
+                pairs = 0.0
+                for k in range(self.aqueous.smoother.size[i]):
+                    pairs += self.aqueous.smoother.pair_weight[i, k]
+                heaviest = ti.max(heaviest, pairs)
                 for k in range(self.aqueous.operators.size[i]):
                     entry = self.aqueous.neighbours.entry[i, k]
                     if entry >= 0:
@@ -116,13 +122,14 @@ class Survey:
             mean = pressure_volume / total_volume
             yielded = self.aqueous.compliance[None] * mean
             figures = ((
-                self.cornea.place[0][1], self.cornea.velocity[0][1], self.cornea.air_pressure[0],
+                self.cornea.place[0][1], self.cornea.velocity[0][1],
                 self.cornea.iop[None] + self.aqueous.pressure[0], (volume + yielded) / rest_volume - 1.0,
                 self.cornea.puff_work[None],
                 self.cornea.elastic_energy() - self.rest_energy[None], self.cornea.kinetic_energy(), kinetic,
-                elastic + self.cornea.iop[None] * (rest_volume - volume) + 0.5 * yielded * mean, viscous,
-                numerical, least, slackest, in_plane, transverse, step, ti.sqrt(gap), flattest, flat, worst, ill, room, near, ti.select(bad >= 0, 1.0, 0.0),
-                bad, fast, travel, self.coupling.sweeps[None], self.coupling.worst_residual[None],
+                elastic + self.cornea.iop[None] * (rest_volume - volume) + 0.5 * yielded * mean, viscous, numerical,
+                carried, least, slackest, in_plane, transverse, step, ti.sqrt(gap), flattest, flat, heaviest, worst, ill,
+                room, near, ti.select(bad >= 0, 1.0, 0.0), bad, fast, travel, self.coupling.sweeps[None],
+                self.coupling.worst_residual[None],
                 self.coupling.status[None]))
             for q in ti.static(range(len(QUANTITIES))):
                 self.row[q] = figures[q]

@@ -3,6 +3,9 @@
     acoustic + dissipation  g / (c (0.6 + 0.72 alpha h/g)): the leapfrog needs (w dt)^2/4 + d dt/2 <= 1, and the spectra
                             of packed clouds have w up to 1.6 c/h and a dissipation d up to 3.4 alpha c/h, g about 0.8 h;
                             under a dent w grows as 1/g, and d as h/g^2, since alpha c h stays
+    dissipation             0.55 / (alpha c h S), S the largest sum over a stencil of its pair weights: d is at most 4 alpha
+                            c h S, where every neighbour has the other sign, and lagged it needs d dt <= 2 (0.5); runs
+                            into the back blew up at 0.54. Binds only where the cloud is squeezed to half its height
     viscous                 g^2 rho / (4 mu)
     membrane, in plane      L / sqrt((B + S1) / rho_s), B the tangent along the meridian: twice the stiffness at twice
                             the stretch, so it shrinks as the cornea dents
@@ -26,6 +29,7 @@ def limits(figures: dict[str, float], scene) -> dict[str, float]:
     rigidity = scene.cornea.flexural_modulus_mpa * 1e6 * thickest**3 / (12.0 * (1.0 - scene.cornea.poisson_ratio**2))
     return {
         "acoustic": gap / (c * (0.6 + 0.72 * numerics.dissipation * numerics.spacing_mm * 1e-3 / gap)),
+        "dissipation": 0.55 / max(numerics.dissipation * c * numerics.spacing_mm * 1e-3 * figures["pair_weight"], 1e-30),
         "viscous": gap**2 * rho / (4.0 * mu) if mu > 0.0 else math.inf,
         "membrane in plane": figures["membrane_step"],
         "membrane transverse": length / max(figures["transverse_speed"], 1e-9),

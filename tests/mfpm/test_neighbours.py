@@ -61,12 +61,13 @@ def scattered(seed, count, width, height, clumped):
 
 
 @pytest.mark.parametrize("clumped", [False, True])
-@pytest.mark.parametrize("seed, count, width, height", [(0, 200, 1.0, 1.0), (1, 500, 6e-3, 2.5e-3), (2, 120, 1.0, 40.0),
-                                                        (3, 60, 5.0, 1e-3), (4, 2, 1.0, 1.0), (5, 1, 1.0, 1.0)])
+@pytest.mark.parametrize("seed, count, width, height", [
+    (0, 200, 1.0, 1.0), (1, 500, 6e-3, 2.5e-3), (2, 120, 1.0, 40.0), (3, 60, 5.0, 1e-3), (4, 2, 1.0, 1.0),
+    (5, 1, 1.0, 1.0)])
 def test_lists_hold_all_and_only_what_is_within_the_radius_nearest_first(lists, seed, count, width, height, clumped):
     points = scattered(seed, count, width, height, clumped)
-    farthest = np.sort(np.concatenate([everyone_around(points, i)[1] for i in range(count)]))
-    radius = 1.0001 * np.sqrt(farthest[min(len(farthest) - 1, 6 * count)])
+    far = np.sort(np.concatenate([everyone_around(points, i)[1] for i in range(count)]))
+    radius = 1.0001 * np.sqrt(far[min(len(far) - 1, 6 * count)]) if len(far) else width
     entries, distances = lists.search(points, radius)
     for i in range(count):
         entry, distance2 = everyone_around(points, i)

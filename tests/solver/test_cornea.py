@@ -83,7 +83,8 @@ class Membrane:
                 self.cornea.stretch_element(k)
             for i in range(last + 1):
                 self.cornea.collect_forces(i)
-                new = self.cornea.held(i, (self.cornea.force_solid[i] + self.cornea.force_air[i]) / self.cornea.mass[i])
+                force = self.cornea.force_solid[i] + self.cornea.force_air[i]
+                new = self.cornea.held(i, force / self.cornea.mass[i])
                 self.cornea.velocity[i] += 0.5 * dt * (self.cornea.acceleration[i] + new)
                 self.cornea.acceleration[i] = new
 
@@ -199,7 +200,8 @@ def test_mass_and_volume_are_those_of_the_cap(membrane, elements):
     cap = membrane.section.apex_z
     area = 2.0 * np.pi * membrane.section.radius * cap
     mass = membrane.cornea.mass.to_numpy()[:elements + 1].sum()
-    assert mass == pytest.approx(area * membrane.thickness * membrane.scene.cornea.density_kg_m3, rel=2.0 / elements**2)
+    density = membrane.scene.cornea.density_kg_m3
+    assert mass == pytest.approx(area * membrane.thickness * density, rel=2.0 / elements**2)
     assert membrane.energy_volume_kinetic()[1] == pytest.approx(membrane.section.volume(), rel=2.0 / elements**2)
 
 

@@ -45,8 +45,8 @@ def test_sound_figures_pass():
     ({"energy_gain": NAN}, "not finite", "r = 0.00 mm", "numerics.dissipation"),
     ({"energy_gain": 2e-5}, "energy", "20 uJ", "numerics.dissipation"),
     ({"energy_gain": 1e-7, "largest_work": 0.0}, "energy", "0.1 uJ", "numerics.cfl"),
-    ({"coupling_status": float(NOT_CONVERGED), "overrides": ["numerics.coupling_iterations_max=7"]}, "did not converge",
-     "7 sweeps", "numerics.coupling_iterations_max")])
+    ({"coupling_status": float(NOT_CONVERGED), "overrides": ["numerics.coupling_iterations_max=7"]},
+     "did not converge", "7 sweeps", "numerics.coupling_iterations_max")])
 def test_each_failure_is_named(keys, what, where, advice):
     stop = refusal(**keys)
     assert what in stop.what and where in stop.where and advice in stop.advice
