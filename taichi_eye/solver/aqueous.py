@@ -36,7 +36,7 @@ import numpy as np
 import taichi as ti
 
 from taichi_eye.backend import real
-from taichi_eye.cloud.packing import FIXED, SLIDE, WALL, Cloud
+from taichi_eye.cloud.packing import FIXED, FREE, SLIDE, WALL, Cloud
 from taichi_eye.mfpm.neighbours import NeighbourLists, image_of
 from taichi_eye.mfpm.operators import CONDITION_LIMIT, SEARCH_RADIUS, STENCIL, WIDTH, MfpmOperators
 
@@ -256,6 +256,9 @@ class Aqueous:
             candidate = ti.Vector([0.0, 0.0])
         self.candidate[i] = candidate
         middle = 0.5 * (candidate + self.velocity[i])
+        if self.no_slip[None] == 1 and self.kind[i] != FREE:
+            # the wall sets this velocity, not the candidate
+            middle = ti.Vector([0.0, 0.0])
         self.numerical_loss[i] -= dt * self.volume[i] * (
             rho * middle.dot(rough_u)
             + self.pressure[i] * self.pressure_dissipation[i] / (self.density0[None] * self.sound_speed[None] ** 2))
@@ -297,10 +300,9 @@ class Aqueous:
         """The uniform pressure [Pa] that restores the mean density of the chamber at its volume [m^3].
 
         In an open chamber: that brings the mean excess pressure back to zero.
-
         Where the rest of the globe yields, by compliance [m^3/Pa] times the mean pressure, that much aqueous humour
-        has left, from everywhere alike: the eye behind the iris is not resolved. The next step's continuity knows
-        nothing of that; what it is going to bring too much, by the last change of volume, is taken off beforehand.
+        has left, from everywhere alike: the eye behind the iris is not resolved. The next step's continuity knows nothing
+        of that; what it is going to bring too much, by the last change of volume, is taken off beforehand.
         """
         total, weight = 0.0, 0.0
         for i in range(self.count[None]):
@@ -308,12 +310,12 @@ class Aqueous:
             weight += self.volume[i]
         stiffness = self.density0[None] * self.sound_speed[None] ** 2
         yielding = 1.0 + stiffness * self.compliance[None] / volume
-        mean = stiffness * (self.rest_volume[None] / volume - 1.0) / yielding
         coming = stiffness * (self.last_volume[None] / volume - 1.0) * (1.0 - 1.0 / yielding)
         self.last_volume[None] = volume
+        mean = stiffness * (self.rest_volume[None] / volume - 1.0) / yielding - coming
         if self.sealed[None] == 0:
-            mean, coming = 0.0, 0.0
-        return mean - total / weight - coming
+            mean = 0.0
+        return mean - total / weight
 
     @ti.func
     def stored_at(self, i):

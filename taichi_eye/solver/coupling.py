@@ -165,7 +165,7 @@ class Coupling:
     @ti.func
     def chamber_volume(self):
         """Volume [m^3] of the chamber under the present cornea."""
-        return self.aqueous.rest_volume[None] + self.cornea.enclosed_volume() - self.rest_enclosed[None]
+        return self.aqueous.rest_volume[None] + (self.cornea.enclosed_volume() - self.rest_enclosed[None])
 
     @ti.func
     def _settle_pressure(self):

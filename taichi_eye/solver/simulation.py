@@ -135,8 +135,9 @@ class Simulation:
             "coupling_residual": figures["coupling_residual"],
             "cornea_min_stress_kpa": figures["least_stress"] * 1e-3,
         }
-        guards.check(figures, energy_error - figures["numerical_loss"], self._largest_work, self.scene,
-                     lambda node: float(self.cloud.points[node, 0]) / MM, self.time_ms)
+        guards.check(figures, stored - figures["puff_work"], self._largest_work, self.scene,
+                     lambda node: float(self.cloud.points[node, 0]) / MM, self.time_ms, figures["viscous_loss"],
+                     figures["numerical_loss"])
         for name, value in row.items():
             self.traces.setdefault(name, []).append(value)
         if figures["wall_travel"] > REBUILD_TRAVEL * self.cloud.spacing:

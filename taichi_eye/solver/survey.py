@@ -127,9 +127,8 @@ class Survey:
                 self.cornea.puff_work[None],
                 self.cornea.elastic_energy() - self.rest_energy[None], self.cornea.kinetic_energy(), kinetic,
                 elastic + self.cornea.iop[None] * (rest_volume - volume) + 0.5 * yielded * mean, viscous, numerical,
-                carried, least, slackest, in_plane, transverse, step, ti.sqrt(gap), flattest, flat, heaviest, worst, ill,
-                room, near, ti.select(bad >= 0, 1.0, 0.0), bad, fast, travel, self.coupling.sweeps[None],
-                self.coupling.worst_residual[None],
+                carried, least, slackest, in_plane, transverse, step, ti.sqrt(gap), flattest, flat, heaviest, worst, ill, room, near,
+                ti.select(bad >= 0, 1.0, 0.0), bad, fast, travel, self.coupling.sweeps[None], self.coupling.worst_residual[None],
                 self.coupling.status[None]))
             for q in ti.static(range(len(QUANTITIES))):
                 self.row[q] = figures[q]
