@@ -90,7 +90,7 @@ class Chamber:
 
     depth_mm: float = key(AUTO, "apex to back plane on the axis, at least the cap depth; auto: the cap depth",
                           unit="mm", above=0, at_most=100)
-    compliance_mm3_mmhg: float = key(0.0, "volume that the rest of the globe takes up per pressure; 0: sealed",
+    compliance_mm3_mmhg: float = key(0.0, "volume that the rest of the globe takes up per pressure, where sealed",
                                      unit="mm^3/mmHg", at_least=0, at_most=100)
     lens_radius_mm: float = key(0.0, "radius of curvature of a lens cap on the back plane; 0: none",
                                 unit="mm", at_least=0, at_most=100)
