@@ -154,7 +154,7 @@ def time_step(say=print) -> Map:
                             "cfl_at_0.5": [float(np.interp(0.5, fine, line)) for line in lines]}
     left.axhline(1.0, color="#22262b", linewidth=1, linestyle=":", label="cfl = 1, the most a scene may ask for")
     left.axvspan(-0.03, 0.225, color="#b03a48", alpha=0.06, label="grows at any step (spectrum)")
-    left.set_ylim(0.3, 2.6)
+    left.set_ylim(0.3, 3.0)
     finish(left, f"{PUFF['puff.duration_ms']:g} ms puff, h 0.28 mm, c 120 m/s", "dissipation (c h)",
            "time step over the solver's stable step (cfl)", legend="upper right")
     for dissipation, colour in zip((0.0, 0.2, 0.3, 0.5, 1.0), ("#b03a48", "#c9641a", "#a88a1a", "#3d8b57", "#14539a")):
