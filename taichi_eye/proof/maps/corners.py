@@ -70,10 +70,10 @@ def corners(say=print) -> Map:
               label="apex history off the finer run, rms over peak")
     axes.barh(np.arange(len(names)) + 0.2, [100 * max(gain_of[n], 1e-6) for n in names], 0.38, color="#c9641a",
               label="energy gained over work")
-    axes.axvline(100 * APART, color="#22262b", linewidth=1, linestyle=":", label="silent failure beyond")
+    axes.axvline(100 * APART, color="#22262b", linewidth=1, linestyle=":", label="history: silent failure beyond")
     axes.set_yticks(np.arange(len(names)), names)
-    finish(axes, "corners that ran to their end", "%", "", log="x")
-    axes.invert_yaxis()
+    finish(axes, "corners that ran to their end", "%", "", log="x", legend="upper left")
+    axes.set_ylim(len(names) - 0.4, -2.4)
     stopped = sum("stopped" in line for line in figures.values())
     found = [f"{len(CORNERS)} corners: {stopped} stopped, {len(names)} ran to their end, {len(broken)} failed in silence or with "
              "the wrong diagnosis."]
