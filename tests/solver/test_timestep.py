@@ -6,7 +6,8 @@ import pytest
 from taichi_eye.scene import load_scene
 from taichi_eye.solver.timestep import limits, stable_step
 
-FIGURES = {"smallest_gap": 0.8e-4, "membrane_step": 2e-6, "membrane_speed": 25.0, "transverse_speed": 5.0}
+FIGURES = {"smallest_gap": 0.8e-4, "membrane_step": 2e-6, "membrane_speed": 25.0, "transverse_speed": 5.0,
+           "pair_weight": 1e7}
 
 
 def every(*overrides, **figures):
