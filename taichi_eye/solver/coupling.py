@@ -107,6 +107,7 @@ class Coupling:
         sweep = 0
         residual = ti.math.inf
         going = True
+        broken = 0
         while going:
             top = self.velocity_floor[None]
             for i in range(walls):
@@ -134,9 +135,15 @@ class Coupling:
                 change = miss - self.last_miss[i]
                 square += change.norm_sqr()
                 product += self.last_miss[i].dot(change)
-                residual = ti.max(residual, 0.5 * dt * miss.norm())
+                change_of_velocity = 0.5 * dt * miss.norm()
+                residual = ti.max(residual, change_of_velocity)
+                # a maximum forgets NaN
+                if ti.math.isnan(change_of_velocity):
+                    broken = 1
                 self.miss[i] = miss
             residual /= top
+            if broken == 1:
+                residual = ti.math.inf
             sweep += 1
             if self.iterated[None] == 1:
                 # written so that NaN goes on to the limit instead of passing

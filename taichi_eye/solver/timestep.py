@@ -11,7 +11,8 @@
                             the stretch, so it shrinks as the cornea dents
     membrane, transverse    L / sqrt(S1 / rho_s)
     membrane, bending       (L^2 / 2) sqrt(rho_s h_wall / D): the stiffest wave of a plate, D of the thickest part
-    coupling                2 sqrt(g rho_s h_wall / (rho c^2)): where a sweep of the iteration stops contracting
+    coupling                sqrt(g rho_s h_wall / (rho c^2)): half of where a sweep stops contracting; beyond, light walls are
+                            unstable even where the iteration converges
 
 g is the smallest distance between two nodes now, h the spacing, L the shortest element of the membrane, alpha the
 dissipation.
@@ -34,7 +35,7 @@ def limits(figures: dict[str, float], scene) -> dict[str, float]:
         "membrane in plane": figures["membrane_step"],
         "membrane transverse": length / max(figures["transverse_speed"], 1e-9),
         "membrane bending": 0.5 * length**2 * math.sqrt(wall_mass / rigidity) if rigidity > 0.0 else math.inf,
-        "coupling": 2.0 * math.sqrt(gap * wall_mass / rho) / c,
+        "coupling": math.sqrt(gap * wall_mass / rho) / c,
     }
 
 
