@@ -108,6 +108,8 @@ def _run(given) -> int:
     backend.init(given.arch, given.precision, given.threads)
     name = Path(given.scene).stem if given.scene else "eye"
     result = run(scene, given.out, name, given.compare, progress=not given.quiet)
+    for warning in result.summary["warnings"]:
+        print(f"warning: {warning}")
     apex = result.summary["apex_displacement_mm"]
     print(f"{result.folder}: apex {apex['peak']:.3f} mm at {apex['peak_time_ms']:.2f} ms, "
           f"{result.summary['wall_clock']['total_s']:.1f} s")

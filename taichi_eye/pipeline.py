@@ -27,6 +27,8 @@ from taichi_eye.solver.simulation import Simulation, cloud_of
 from taichi_eye.units import MM
 
 KEPT_FRAMES = 300  # frames held for the sheet and the GIF; a longer film is thinned
+BALANCE_DOUBTED = 0.02  # energy error over the puff's work
+SQUEEZE_DOUBTED = 0.01  # volume error of a sealed chamber
 GIF_WIDTH_PX, GIF_STRIDE, GIF_COLOURS = 480, 3, 128  # small enough for a README
 
 
@@ -74,7 +76,7 @@ class _Recorder:
         started = time.perf_counter()
         scene, output = self.scene, self.scene.output
         with tqdm(total=scene.numerics.duration_ms, unit=" ms", disable=not self.progress, dynamic_ncols=True,
-                  bar_format="{desc}{percentage:3.0f}%|{bar}| {n:.1f}/{total:.0f} ms [{elapsed}<{remaining}]") as bar:
+                  bar_format="{desc}{percentage:3.0f}%|{bar}| {n:.1f}/{total:g} ms [{elapsed}<{remaining}]") as bar:
             bar.set_description_str("compiling kernels: ")
             simulation = Simulation(scene, cloud)
             view = FilmView(scene)
@@ -196,7 +198,21 @@ def _summary(simulation, traces, history, stop, clock, measured) -> dict:
         "operator_rebuilds": simulation.rebuilds,
         "wall_clock": {name: round(seconds, 3) for name, seconds in clock.items()},
     }
+    summary["warnings"] = _warnings(summary, simulation.scene)
     if measured is not None:
         summary["against"] = {"file": measured.name, **differences(traces["time_ms"], traces["apex_displacement_mm"],
                                                                    measured)}
     return summary
+
+
+def _warnings(summary, scene) -> list[str]:
+    """What a finished run should be doubted for, though no guard stopped it."""
+    said = []
+    balance, squeezed = summary["energy_error_share_of_work"], summary["chamber_volume_error_max"]
+    if balance > BALANCE_DOUBTED:
+        said.append(f"the energy balance is off by {100 * balance:.1f} % of the puff's work: lower numerics.spacing_mm"
+                    + (", or use numerics.wall_condition = \"slip\"" if scene.numerics.wall_condition == "no_slip" else ""))
+    if scene.chamber.sealed and squeezed > SQUEEZE_DOUBTED:
+        said.append(f"the liquid was compressed by {100 * squeezed:.1f} %, which deepens the dent: raise "
+                    "numerics.sound_speed_m_s")
+    return said
