@@ -53,17 +53,14 @@ def run(scene: Scene, out: str | Path | None = None, name: str = "eye", compare:
     measured = read_measured(compare) if compare is not None else None
     backend.real()
     cloud = cloud_of(scene)
-    folder = create_run_folder(out, name)
-    write_text(folder / "scene.toml", dump_scene(scene))
-    recorder = _Recorder(scene, folder, measured, progress)
-    return recorder.run(cloud)
+    return _Recorder(scene, measured, progress).run(cloud, out, name)
 
 
 class _Recorder:
     """Holds what one run writes as it goes."""
 
-    def __init__(self, scene, folder, measured: Measured | None, progress):
-        self.scene, self.folder, self.measured, self.progress = scene, folder, measured, progress
+    def __init__(self, scene, measured: Measured | None, progress):
+        self.scene, self.measured, self.progress = scene, measured, progress
         self.frames: list[tuple[float, np.ndarray]] = []
         self.colour_frames: list[np.ndarray] = []
         self.walls: list[tuple[float, np.ndarray]] = []
@@ -71,14 +68,19 @@ class _Recorder:
         self.clock: dict[str, float] = {}
         self.paraview = None
 
-    def run(self, cloud) -> RunResult:
-        """Run to the end, to a guard's stop or to an interrupt; write everything in any case."""
+    def run(self, cloud, out, name) -> RunResult:
+        """Run to the end, to a guard's stop or to an interrupt; write everything in any case.
+
+        The folder is made once the solver has accepted the scene.
+        """
         started = time.perf_counter()
         scene, output = self.scene, self.scene.output
         with tqdm(total=scene.numerics.duration_ms, unit=" ms", disable=not self.progress, dynamic_ncols=True,
                   bar_format="{desc}{percentage:3.0f}%|{bar}| {n:.1f}/{total:g} ms [{elapsed}<{remaining}]") as bar:
             bar.set_description_str("compiling kernels: ")
             simulation = Simulation(scene, cloud)
+            self.folder = create_run_folder(out, name)
+            write_text(self.folder / "scene.toml", dump_scene(scene))
             view = FilmView(scene)
             self.clock["setup_s"] = time.perf_counter() - started
             if self.progress:

@@ -83,7 +83,8 @@ class Section:
     def wall_clearance(self, points):
         """Signed distance [m] from points, shape [n, 2], to the nearest wall; positive inside the chamber.
 
-        The axis is no wall. Exact near the walls, which is where it is used.
+        The axis is no wall. The sign is exact everywhere, the distance next to a single wall; beside a corner it may be
+        too large.
         """
         r, z = np.abs(points[:, 0]), points[:, 1]
         distance = self.radius - np.hypot(r, z - self.centre_z)

@@ -16,9 +16,10 @@ Walls. Cornea: the normal velocity is the membrane's (slip) or the whole velocit
 nodes slide along, corners stay. The pressure of wall nodes follows from the same continuity equation with their
 one-sided stencils, so nothing is extrapolated.
 
-Stabilisation. alpha c h P (`taichi_eye.mfpm.operators`) acts on p and u at every node, P of third order in h, so the term
-is. Largest growth rates of the semi-discrete coupled system at rest, in c/h (h = 0.25 mm, c = 100 m/s, quadratic basis,
-14 neighbours): alpha 0: 0.14, 0.1: 0.09, 0.2: 0.04, 0.3: 2e-6, 0.5: 1.5e-6; p or u alone at any alpha: 0.06. What is
+Stabilisation. alpha c h P (`taichi_eye.mfpm.operators`) acts on p and u at every node: a term of third order in h.
+Largest growth rates of the semi-discrete coupled system at rest, in c/h (h = 0.25 mm, c = 100 m/s, quadratic basis, 14
+neighbours): alpha 0: 0.14, 0.1: 0.09, 0.2: 0.04, 0.3: 2e-6, 0.5: 1.5e-6; p or u alone at alpha 0.3: 0.06. Damping only
+the velocity difference along each pair, as a Riemann solver does, leaves vortical modes that grow by 30-130/s. What is
 left at alpha 0.5 is the first coupled mode itself, growing by 0.6/s. Its price at alpha 0.5, damping of the first three
 coupled modes (309, 550, 804 Hz): none, 19/s, 133/s at h 0.25 mm and none, 4/s, 40/s at 0.18 mm.
 

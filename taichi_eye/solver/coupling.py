@@ -99,6 +99,19 @@ class Coupling:
         return 0.5 * (before + self.cornea.force_air[i]).dot(moved)
 
     @ti.func
+    def _move_cornea(self, puff, dt):
+        """Step 1: places, tensions and forces of the membrane; serial over the wall nodes."""
+        walls = self.aqueous.wall_count[None]
+        for i in range(walls):
+            self._start_step(i, puff, dt)
+        for k in range(walls - 1):
+            self.cornea.stretch_element(k)
+        work = 0.0
+        for i in range(walls):
+            work += self._work_of_air(i, dt)
+        self.cornea.puff_work[None] += work
+
+    @ti.func
     def _match_wall(self, dt):
         """Step 3: iterate the membrane's acceleration; serial over the wall nodes."""
         walls = self.aqueous.wall_count[None]
@@ -187,14 +200,7 @@ class Coupling:
                 kick_dt = dt
                 if step == 0:
                     kick_dt = 0.5 * (dt + dt_before)
-                for i in range(walls):
-                    self._start_step(i, puff[step], dt)
-                for k in range(walls - 1):
-                    self.cornea.stretch_element(k)
-                work = 0.0
-                for i in range(walls):
-                    work += self._work_of_air(i, dt)
-                self.cornea.puff_work[None] += work
+                self._move_cornea(puff[step], dt)
                 for i in range(nodes):
                     self.aqueous.find_pressure_gradient(i)
                 for i in range(nodes):
@@ -214,15 +220,7 @@ class Coupling:
     def _step_in_parallel(self, puff: float, dt: float, kick_dt: float):
         ti.loop_config(serialize=True)
         for once in range(1):
-            walls = self.aqueous.wall_count[None]
-            for i in range(walls):
-                self._start_step(i, puff, dt)
-            for k in range(walls - 1):
-                self.cornea.stretch_element(k)
-            work = 0.0
-            for i in range(walls):
-                work += self._work_of_air(i, dt)
-            self.cornea.puff_work[None] += work
+            self._move_cornea(puff, dt)
         for i in range(self.aqueous.count[None]):
             self.aqueous.find_pressure_gradient(i)
         for i in range(self.aqueous.count[None]):

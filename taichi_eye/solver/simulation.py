@@ -11,9 +11,11 @@ import numpy as np
 
 from taichi_eye.cloud.packing import Cloud, pack
 from taichi_eye.cloud.quality import CloudQuality, measure
+from taichi_eye.errors import SceneError
 from taichi_eye.eye.puff import Puff
 from taichi_eye.eye.section import Section
 from taichi_eye.eye.thickness import prestrain, thickness
+from taichi_eye.mfpm.operators import CONDITION_LIMIT
 from taichi_eye.solver import guards, timestep
 from taichi_eye.solver.workspace import borrow
 from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
@@ -70,6 +72,14 @@ class Simulation:
         self.coupling.setup(numerics.coupling == "iterated", numerics.relaxation == "aitken",
                             numerics.relaxation_factor, numerics.coupling_tolerance, numerics.coupling_iterations_max)
         self.survey.remember_rest(self.section.back_height(nodes[:, 0]))
+        figures = self.survey.take()
+        limit = CONDITION_LIMIT[numerics.basis]
+        if not figures["worst_condition"] <= limit:
+            where = self.cloud.points[int(figures["ill_node"]), 0] / MM
+            raise SceneError(f"cornea.radius_mm = {cornea.radius_mm:g}, cornea.limbus_radius_mm = {cornea.limbus_radius_mm:g}, "
+                             f'numerics.basis = "{numerics.basis}": the stencil at r = {where:.2f} mm has a condition number '
+                             f"of {figures['worst_condition']:.1e}, at most {limit:.0e} is allowed; the wedge at the limbus is "
+                             "too sharp for the basis: bring the limbus radius nearer to the cornea's, or use \"quadratic\"")
 
     @property
     def time_ms(self) -> float:
