@@ -1,4 +1,5 @@
-"""Wall: where the cornea goes slack over (IOP, peak, prestrain, duration), and whether the guard speaks in time.
+"""Wall: where the cornea goes slack over (IOP, peak, prestrain, duration, sealed or open chamber), and whether the guard
+speaks in time.
 
 Quasi-static theory: with prestrain eps0 the wall stays taut through an isometric inversion, so a slow puff slackens it
 nowhere. Inertia does: a wall that a fast puff throws at v meets the strain v / c_w of a one-dimensional wave of speed c_w
@@ -38,17 +39,21 @@ def _tension_left(outcome) -> float:
 
 def wall(say=print) -> Map:
     """Runs over (IOP, peak) for a slow and a fast puff and over (prestrain, peak); one corner with and without guard."""
-    canvas, ((slow, fast, strained), (scatter, late, ripple)) = panels(3, 2)
+    canvas, ((slow, fast, strained, open_fast), (scatter, late, ripple, open_slow)) = panels(4, 2)
     every, broken = [], []
-    for panel, duration in ((slow, SLOW), (fast, FAST)):
-        cases = [(iop, peak, run({**_puff(duration), "eye.iop_mmhg": iop, "puff.peak_kpa": peak}))
+    opened = []
+    for panel, duration, sealed in ((slow, SLOW, True), (fast, FAST, True), (open_slow, SLOW, False),
+                                    (open_fast, FAST, False)):
+        cases = [(iop, peak, run({**_puff(duration), "eye.iop_mmhg": iop, "puff.peak_kpa": peak,
+                                 "chamber.sealed": str(sealed).lower()}))
                  for iop in IOPS for peak in PEAKS]
-        every += cases
+        (every if sealed else opened).extend(cases)
+        kind = "" if sealed else ", open chamber"
         dots(panel, [iop for iop, _, _ in cases], [peak for _, peak, _ in cases], [o.cause for _, _, o in cases])
-        finish(panel, f"puff of {duration:g} ms", "IOP (mmHg)", "peak (kPa)", log="xy", legend="upper left",
+        finish(panel, f"puff of {duration:g} ms{kind}", "IOP (mmHg)", "peak (kPa)", log="xy", legend="upper left",
                ticks=(IOPS, PEAKS))
         panel.set_ylim(4.0, 170.0)
-        say(f"  puff of {duration:g} ms: " + ", ".join(f"IOP {iop:g}/{peak:g} kPa {o.cause} {o.stop.time_ms:.1f} ms"
+        say(f"  puff of {duration:g} ms{kind}: " + ", ".join(f"IOP {iop:g}/{peak:g} kPa {o.cause} {o.stop.time_ms:.1f} ms"
                                                        for iop, peak, o in cases if o.stop))
     cases = [(eps, peak, run({**_puff(FAST), "cornea.prestrain": eps, "puff.peak_kpa": peak}))
              for eps in PRESTRAINS for peak in PEAKS]
@@ -66,7 +71,7 @@ def wall(say=print) -> Map:
     finish(scatter, "tension left against how hard the wall is thrown", r"$v / (c_w \epsilon_0)$",
            "least stress over the stress at rest", log="x", legend="lower left")
     scatter.set_ylim(-0.05, 1.0)
-    for first, peak, each in every:
+    for first, peak, each in every + opened:
         if each.stop is None and (each.traces["cornea_min_stress_kpa"].min() <= 0.0 or each.energy_share > BAD_ENERGY):
             broken.append(f"puff of {each.scene.puff.duration_ms:g} ms, {first:g}/{peak:g} kPa: ran on slack or with an energy "
                           f"error of {100 * each.energy_share:.1f} %")
@@ -115,6 +120,8 @@ def wall(say=print) -> Map:
              f"A slow puff ({SLOW:g} ms) slackens no wall, whatever IOP and peak: as the isometric inversion says.",
              f"A fast one does from about {THROW:g} c_w prestrain on (apex speed; the number is read off, the largest taut one "
              f"is {taut.max():.1f}), and already at 1 to 2 where the prestrain is 0.002.",
+             f"In an open chamber {sum(o.cause == 'slack' for _, _, o in opened)} of {len(opened)} corners go slack and "
+             f"{sum(o.cause == 'back' for _, _, o in opened)} reach the back of the chamber first: nothing holds the volume.",
              "The guard stops every slack corner at the first sample with a slack element. Its history up to there agrees with that of "
              "h 0.2 mm as the table says; what follows without it is no membrane any more, though its energy may stay "
              "balanced for a while: only the guard on the stress itself tells."]
