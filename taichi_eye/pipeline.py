@@ -18,7 +18,7 @@ from taichi_eye.errors import RunStopped
 from taichi_eye.eye.globe import retreat_mm
 from taichi_eye.film import FilmView, FilmWriter, FrameState, write_gif
 from taichi_eye.report.compare import Measured, differences, read_measured
-from taichi_eye.report.folder import create_run_folder, write_text
+from taichi_eye.report.folder import create_run_folder, refuse_taken, write_text
 from taichi_eye.report.history import summarise
 from taichi_eye.report.plots import plot_apex, plot_sheet, sheet_times
 from taichi_eye.report.traces import write_traces, write_wall
@@ -50,6 +50,7 @@ def run(scene: Scene, out: str | Path | None = None, name: str = "eye", compare:
     Raises SceneError for bad input before anything is written; RunStopped when a guard stops the run, after what was
     computed so far has been written.
     """
+    refuse_taken(out)
     measured = read_measured(compare) if compare is not None else None
     backend.real()
     cloud = cloud_of(scene)

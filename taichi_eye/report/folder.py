@@ -11,6 +11,18 @@ from typing import Iterator
 from taichi_eye.errors import SceneError
 
 
+def refuse_taken(out: str | Path | None) -> None:
+    """SceneError where `--out` names a folder that holds something."""
+    if out is None:
+        return
+    try:
+        taken = Path(out).is_dir() and any(Path(out).iterdir())
+    except (OSError, ValueError):
+        return          # said by `create_run_folder`, with the reason
+    if taken:
+        raise SceneError(f"--out {out}: is not empty; a run never overwrites, name a new or an empty folder")
+
+
 def create_run_folder(out: str | Path | None, stem: str, parent: str | Path = "renders") -> Path:
     """Create the folder of a run and return it; call it once the scene has been validated.
 
@@ -19,10 +31,9 @@ def create_run_folder(out: str | Path | None, stem: str, parent: str | Path = "r
     """
     try:
         if out is not None:
+            refuse_taken(out)
             folder = Path(out)
             folder.mkdir(parents=True, exist_ok=True)
-            if any(folder.iterdir()):
-                raise SceneError(f"--out {out}: is not empty; a run never overwrites, name a new or an empty folder")
             return folder
         parent = Path(parent)
         parent.mkdir(parents=True, exist_ok=True)
