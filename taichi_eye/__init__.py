@@ -9,8 +9,9 @@
 """
 import os
 
-# Taichi prints a banner on import unless told not to beforehand
+# Taichi prints a banner and notes on import unless told not to beforehand
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+os.environ.setdefault("TI_LOG_LEVEL", "error")
 
 from taichi_eye.errors import RunStopped, SceneError  # noqa: E402
 from taichi_eye.scene import Scene, dump_scene, load_scene  # noqa: E402

@@ -38,7 +38,7 @@ def init(arch: str = "cpu", precision: str = "f64", threads: int | None = None, 
     options = {} if threads is None else {"cpu_max_num_threads": threads}
     with contextlib.redirect_stdout(io.StringIO()):
         ti.init(arch=getattr(ti, arch), default_fp=ti.f64 if precision == "f64" else ti.f32, default_ip=ti.i32,
-                fast_math=False, offline_cache=True, debug=debug, log_level=ti.ERROR, **options)
+                fast_math=False, offline_cache=True, debug=debug, **options)
     _active.clear()
     got = ti.lang.impl.current_cfg().arch
     if (arch == "cpu") != (got in (ti.x64, ti.arm64)) or (arch != "cpu" and got != getattr(ti, arch)):
