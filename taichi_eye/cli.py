@@ -4,6 +4,7 @@ Exit status: 0 done; 1 the run left its validity and was stopped (what was compu
 row of `verify` failed; 2 bad input, nothing written; 130 interrupted.
 """
 import argparse
+import os
 import sys
 from pathlib import Path
 
@@ -116,6 +117,15 @@ def _run(given) -> int:
     return 0
 
 
+def _refuse_unwritable(json_file: str | None) -> None:
+    """SceneError where `--json` cannot be written, said before the minutes of work it would hold."""
+    if json_file is None:
+        return
+    path = Path(json_file)
+    if path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+        raise SceneError(f"--json {json_file}: cannot be written; name a file in an existing folder that may be written")
+
+
 def _prove(given) -> int:
     from importlib import import_module
 
@@ -123,6 +133,7 @@ def _prove(given) -> int:
     unknown = [name for name in given.only if name not in proof.PARTS]
     if unknown:
         raise SceneError(f"--only {unknown[0]}: {given.command} has {', '.join(proof.PARTS)}")
+    _refuse_unwritable(given.json)
     backend.init("cpu", "f64", given.threads)
     return 0 if proof.report(given.only, given.out, given.json) else 1
 
@@ -148,6 +159,7 @@ def _claims(given) -> int:
     from taichi_eye.scene import load_scene
 
     load_scene(None, (f"numerics.spacing_mm={given.spacing_mm}",))
+    _refuse_unwritable(given.json)
     backend.init()
     folder = create_run_folder(given.out, "claims")
     listed = claims.cases()

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taichi_eye.units import MM
+
 
 @dataclass(frozen=True)
 class Section:
@@ -28,9 +30,8 @@ class Section:
     @classmethod
     def from_scene(cls, scene) -> "Section":
         """The section that a resolved scene describes."""
-        mm = 1e-3
-        return cls(scene.cornea.radius_mm * mm, scene.cornea.limbus_radius_mm * mm, scene.chamber.depth_mm * mm,
-                   scene.chamber.lens_radius_mm * mm, scene.chamber.lens_height_mm * mm)
+        return cls(scene.cornea.radius_mm * MM, scene.cornea.limbus_radius_mm * MM, scene.chamber.depth_mm * MM,
+                   scene.chamber.lens_radius_mm * MM, scene.chamber.lens_height_mm * MM)
 
     @property
     def centre_z(self) -> float:

@@ -13,7 +13,6 @@ quasi-static answer is subtracted (`quasi_static`).
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass, field
 from typing import Callable, Sequence
 
@@ -61,7 +60,6 @@ class Outcome:
     stop: str = ""
     volume_change: float = 0.0  # most negative, of the volume at rest
     energy_error: float = 0.0  # largest, over the largest work of the puff
-    wall_s: float = 0.0
 
     @property
     def peak_mm(self) -> float:
@@ -138,7 +136,6 @@ def _exponent_for_tangent(scene, factor: float) -> float:
 
 def run_case(case: Case, spacing_mm: float) -> Outcome:
     """Simulate one case; a guard's stop is an outcome."""
-    started = time.perf_counter()
     scene = load_scene(None, (f"numerics.spacing_mm={spacing_mm / case.refine}", f"numerics.sound_speed_m_s={C_BASE}",
                               *case.overrides))
     simulation = Simulation(scene)
@@ -154,7 +151,6 @@ def run_case(case: Case, spacing_mm: float) -> Outcome:
                       energy_error=float(np.abs(traces["energy_error_uj"]).max() / np.abs(traces["puff_work_uj"]).max()))
     if outcome.measures:
         outcome.delays = delays(t, apex, load)
-    outcome.wall_s = time.perf_counter() - started
     return outcome
 
 

@@ -42,10 +42,6 @@ class Measures:
         return 0.5 * (self.rise_time_ms + self.fall_time_ms)
 
     @property
-    def width_ms(self) -> float:
-        return self.fall_time_ms - self.rise_time_ms
-
-    @property
     def fall_to_rise(self) -> float:
         return (self.fall_time_ms - self.peak_time_ms) / (self.peak_time_ms - self.rise_time_ms)
 

@@ -128,10 +128,6 @@ class CoupledSystem:
         self.coupling.advance(np.zeros(1), dt, dt)
         return self.coupling.sweeps[None], self.coupling.worst_residual[None]
 
-    def sweeps_to(self, dt: float, tolerance: float) -> int:
-        """Sweeps that the plain iteration needs for `tolerance`; 100 where it does not get there."""
-        return self.residual_after(dt, 100, tolerance)[0]
-
     def contraction(self, dt: float) -> float:
         """Factor by which a sweep of the plain iteration shrinks the residual, from the last sweeps above rounding."""
         residual = np.array([self.residual_after(dt, sweeps)[1] for sweeps in range(1, 9)])

@@ -18,7 +18,7 @@ QUANTITIES = (
     "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic", "viscous_loss", "numerical_loss", "outflow_loss",
     "least_stress", "slackest_element", "membrane_speed", "transverse_speed", "membrane_step", "smallest_gap",
     "flattest_triangle", "flat_node", "pair_weight", "worst_condition", "ill_node", "chamber_gap", "gap_node",
-    "not_finite", "bad_node", "fluid_speed", "wall_travel", "coupling_sweeps", "coupling_residual", "coupling_status")
+    "not_finite", "bad_node", "wall_travel", "coupling_sweeps", "coupling_residual", "coupling_status")
 
 
 @ti.data_oriented
@@ -65,7 +65,7 @@ class Survey:
             volume = self.coupling.chamber_volume()
             kinetic, elastic = self.aqueous.energies(volume)
             viscous, numerical, carried, pressure_volume, total_volume = 0.0, 0.0, 0.0, 0.0, 0.0
-            bad, ill, worst, fast = -1, 0, 0.0, 0.0
+            bad, ill, worst = -1, 0, 0.0
             gap, heaviest = ti.math.inf, 0.0
             for i in range(nodes):
                 viscous += self.aqueous.viscous_loss[i]
@@ -78,7 +78,6 @@ class Survey:
                     bad = i
                 if self.aqueous.operators.condition[i] > worst or ti.math.isnan(self.aqueous.operators.condition[i]):
                     worst, ill = self.aqueous.operators.condition[i], i
-                fast = ti.max(fast, self.aqueous.velocity[i].norm())
                 pairs = 0.0
                 for k in range(self.aqueous.smoother.size[i]):
                     pairs += self.aqueous.smoother.pair_weight[i, k]
@@ -128,7 +127,7 @@ class Survey:
                 self.cornea.elastic_energy() - self.rest_energy[None], self.cornea.kinetic_energy(), kinetic,
                 elastic + self.cornea.iop[None] * (rest_volume - volume) + 0.5 * yielded * mean, viscous, numerical,
                 carried, least, slackest, in_plane, transverse, step, ti.sqrt(gap), flattest, flat, heaviest, worst, ill, room, near,
-                ti.select(bad >= 0, 1.0, 0.0), bad, fast, travel, self.coupling.sweeps[None], self.coupling.worst_residual[None],
+                ti.select(bad >= 0, 1.0, 0.0), bad, travel, self.coupling.sweeps[None], self.coupling.worst_residual[None],
                 self.coupling.status[None]))
             for q in ti.static(range(len(QUANTITIES))):
                 self.row[q] = figures[q]

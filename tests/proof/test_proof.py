@@ -4,6 +4,7 @@ import json
 import numpy as np
 import pytest
 
+from taichi_eye.cli import main
 from taichi_eye.cloud.packing import pack
 from taichi_eye.eye.section import Section
 from taichi_eye.proof import membranes, rows, spectrum, squeeze, viscous, waves
@@ -79,3 +80,12 @@ def test_the_eye_at_rest_is_stable_with_the_default_dissipation_and_not_without(
         rates[alpha] = spectrum.growth(spectrum.step_matrix(system, dt), dt) * cloud.spacing / 80.0
     assert rates[0.5] < 1e-4
     assert rates[0.0] > 0.01
+
+
+@pytest.mark.parametrize("command", ["verify", "stability", "claims"])
+def test_figures_that_cannot_be_written_are_refused_before_the_work(command, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for json_file in (tmp_path / "missing" / "x.json", tmp_path):
+        assert main([command, "--json", str(json_file)]) == 2
+        assert f"--json {json_file}" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
