@@ -1,7 +1,7 @@
-"""The command line: `taichi-eye run SCENE.toml`, `analyze FILM`, and `verify`, `stability`, `claims`.
+"""The command line: `taichi-eye run SCENE.toml`, `analyze FILM`, and `verify`, `stability`, `claims`, `bench`.
 
 Exit status: 0 done; 1 the run left its validity and was stopped (what was computed so far is in the run folder), or a
-row of `verify` failed; 2 bad input, nothing written; 130 interrupted.
+row of `verify` or `bench` does not hold; 2 bad input, nothing written; 130 interrupted.
 """
 import argparse
 import os
@@ -32,7 +32,8 @@ def parser() -> argparse.ArgumentParser:
     run.set_defaults(do=_run)
     _add_analyze(commands)
     for name, what in (("verify", "compare the solver's kernels with exact answers"),
-                       ("stability", "map where the methods fail, with the theory drawn on")):
+                       ("stability", "map where the methods fail, with the theory drawn on"),
+                       ("bench", "measure how fast it is, each figure beside what is asked of it")):
         proof = commands.add_parser(name, help=what, description=f"{what.capitalize()}; writes one table and one page.")
         proof.add_argument("--only", metavar="NAME", action="append", default=[], help="one part of it; may be repeated")
         proof.add_argument("--json", metavar="FILE", help="the figures as JSON")
@@ -129,7 +130,8 @@ def _refuse_unwritable(json_file: str | None) -> None:
 def _prove(given) -> int:
     from importlib import import_module
 
-    proof = import_module(f"taichi_eye.proof.{given.command}")
+    room = "bench" if given.command == "bench" else "proof"
+    proof = import_module(f"taichi_eye.{room}.{given.command}")
     unknown = [name for name in given.only if name not in proof.PARTS]
     if unknown:
         raise SceneError(f"--only {unknown[0]}: {given.command} has {', '.join(proof.PARTS)}")

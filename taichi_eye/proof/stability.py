@@ -12,8 +12,8 @@ from taichi_eye.proof.maps.sound_speed import sound_speed
 from taichi_eye.proof.maps.spectrum import spectrum
 from taichi_eye.proof.maps.time_step import time_step
 from taichi_eye.proof.maps.wall import wall
-from taichi_eye.proof.page import picture, table, write_page
 from taichi_eye.report.folder import create_run_folder, replacing, write_text
+from taichi_eye.report.page import picture, plain, table, write_page
 
 PARTS = {"spectrum": spectrum, "time-step": time_step, "coupling": coupling, "sound-speed": sound_speed, "wall": wall,
          "cloud": cloud, "corners": corners}
@@ -37,10 +37,10 @@ def report(only=(), out: str | None = None, json_file: str | None = None, say=la
         with replacing(folder / f"{name}.png") as temporary:
             here.canvas.savefig(temporary, format="png", facecolor="white")
         theory = (__import__(PARTS[name].__module__, fromlist=["x"]).__doc__ or "")
-        parts += [f"<h2>{name}</h2>", "<ul>" + "".join(f"<li>{_plain(line)}</li>" for line in here.found) + "</ul>"]
+        parts += [f"<h2>{name}</h2>", "<ul>" + "".join(f"<li>{plain(line)}</li>" for line in here.found) + "</ul>"]
         if here.broken:
-            parts.append("<p class=no>" + "<br>".join(_plain(line) for line in here.broken) + "</p>")
-        parts += [picture(here.canvas), f"<pre>{_plain(theory)}</pre>"]
+            parts.append("<p class=no>" + "<br>".join(plain(line) for line in here.broken) + "</p>")
+        parts += [picture(here.canvas), f"<pre>{plain(theory)}</pre>"]
         if here.body:
             parts.append(table(here.head, here.body))
         figures[name] = {"found": here.found, "failed_in_silence": here.broken, **here.figures}
@@ -57,10 +57,6 @@ def report(only=(), out: str | None = None, json_file: str | None = None, say=la
 def _verdict(broken: list[str]) -> str:
     return ("<p>Every failing corner ended in a stop with its diagnosis.</p>" if not broken
             else f"<p>{len(broken)} corners failed in silence or with the wrong diagnosis.</p>")
-
-
-def _plain(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;")
 
 
 def _number(value):

@@ -5,9 +5,9 @@ import time
 from pathlib import Path
 
 from taichi_eye.proof import membranes, squeeze, viscous, waves
-from taichi_eye.proof.page import draw, picture, table, write_page
 from taichi_eye.proof.rows import Row
 from taichi_eye.report.folder import create_run_folder, write_text
+from taichi_eye.report.page import draw, picture, table, write_page
 
 PARTS = {
     "inflation": membranes.inflation,

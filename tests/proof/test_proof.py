@@ -82,7 +82,7 @@ def test_the_eye_at_rest_is_stable_with_the_default_dissipation_and_not_without(
     assert rates[0.0] > 0.01
 
 
-@pytest.mark.parametrize("command", ["verify", "stability", "claims"])
+@pytest.mark.parametrize("command", ["verify", "stability", "claims", "bench"])
 def test_figures_that_cannot_be_written_are_refused_before_the_work(command, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for json_file in (tmp_path / "missing" / "x.json", tmp_path):

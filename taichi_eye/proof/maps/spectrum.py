@@ -10,8 +10,8 @@ import numpy as np
 from taichi_eye.cloud.packing import FREE, Cloud, complete
 from taichi_eye.proof.maps.result import Map, finish, panels
 from taichi_eye.proof.maps.runs import cloud_for, scene_with
-from taichi_eye.proof.page import COLOURS
 from taichi_eye.proof.spectrum import CoupledSystem, growth, step_matrix
+from taichi_eye.report.page import COLOURS
 from taichi_eye.units import MM, MMHG, MPA_S
 
 ACCEPTED = 1e-4  # c/h

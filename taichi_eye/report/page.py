@@ -59,6 +59,11 @@ def table(head, body, failed=()) -> str:
     return "<table>" + "".join(lines) + "</table>"
 
 
+def plain(text: str) -> str:
+    """Text as HTML shows it literally."""
+    return html.escape(text, quote=False)
+
+
 def _numeric(cell) -> str:
     return " class=n" if str(cell)[:1].isdigit() or str(cell)[:1] == "-" else ""
 

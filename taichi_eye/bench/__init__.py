@@ -1,0 +1,1 @@
+"""Speed: `taichi-eye bench` measures it part by part, each figure beside what is asked of it."""
