@@ -5,6 +5,12 @@ nodes are packed. Boundary nodes stand at equal arc length on the cornea, the ri
 starts as a hexagonal lattice and relaxes under a short-range pair repulsion, the boundary and the mirror images
 across the axis pushing too. Then the worst hole gets a node or the closest pair loses one, and the cloud relaxes
 again, until every hole and gap is within bounds. Nothing is random: the same section and spacing give the same cloud.
+
+A lattice is its own equilibrium, so the relaxation is a disturbance that walks in from the walls, some 40 rows in 300
+sweeps: only nodes that it has reached are looked at, and the pairs in reach are listed once for up to 20 sweeps. Against
+all pairs in each sweep the nodes end in the same places to 1e-7 spacings (the default eye's apex history: to 3e-13 mm), six
+times sooner at 1.3 k nodes, ten times at 200 k, where half of the time that is left is Delaunay's (`taichi-eye bench --only
+packing`). Longer lists (a skin of 0.3) take in the lattice's second ring and doubled the work of a sweep.
 """
 from dataclasses import dataclass
 
@@ -21,6 +27,10 @@ HOLE_LIMIT = 0.78  # largest circumradius of an empty triangle, in spacings
 GAP_LIMIT = 0.62  # smallest distance between two nodes, in spacings
 SHORT_SIDE = 0.7  # in spacings
 REACH = 1.6  # of the repulsion, in spacings
+SKIN = 0.12  # in spacings: pairs this far beyond the reach are listed too, so that a list serves several sweeps
+LIST_AGE = 20  # sweeps that a list serves at most
+CELL = 4.0  # in spacings: nodes rest as long as no node in their cell or beside it moves
+REST = 1e-9  # in spacings per sweep: what counts as moving
 
 
 @dataclass(frozen=True)
@@ -114,24 +124,89 @@ def _with_images(section, points, spacing):
     return np.vstack([points, near * (-1.0, 1.0)])
 
 
+class _Neighbourhood:
+    """The pairs of nodes that may push each other, kept for some sweeps, where nodes still move.
+
+    awake [a]: the inner nodes that are moved, all others rest; place [2, m]: those, their surroundings and mirror images.
+    """
+
+    def __init__(self, section, walls, points, hot, spacing):
+        """points [n, 2], the first `walls` of them on the boundary; hot [n]: those that moved of late."""
+        cell = np.floor((points - points.min(0)) / (CELL * spacing)).astype(np.intp) + 2
+        shape = cell.max(0) + 3
+        cell = cell[:, 0] * shape[1] + cell[:, 1]
+        stirred = np.zeros(shape, dtype=bool)
+        stirred.ravel()[cell[hot]] = True
+        stirred = _grown(stirred)
+        # the awake nodes first, then what they touch
+        awake = stirred.ravel()[cell]
+        awake[:walls] = False
+        self.awake = np.flatnonzero(awake)
+        around = np.concatenate([self.awake, np.flatnonzero(_grown(stirred).ravel()[cell] & ~awake)])
+        place = points[around].T
+        self.images = np.flatnonzero((place[0] > 0.0) & (place[0] < 2.0 * spacing) & (not section.planar))
+        self.known = len(around)
+        self.place = np.hstack([place, place[:, self.images] * [[-1.0], [1.0]]])
+        self.built = self.place[:, :len(self.awake)].copy()
+        pairs = cKDTree(self.place.T).query_pairs((REACH + SKIN) * spacing, output_type="ndarray")
+        # of a pair the smaller index comes first
+        self.one, self.other = pairs[pairs[:, 0] < len(self.awake)].T.copy()
+
+    def push(self, reach):
+        """Sum over the neighbours of (reach/d - 1)^2, away from each: [2, a]."""
+        away = np.take(self.place, self.one, 1) - np.take(self.place, self.other, 1)
+        inverse = 1.0 / np.sqrt(np.maximum(away[0] * away[0] + away[1] * away[1], (1e-9 * reach) ** 2))
+        strength = np.maximum(reach * inverse - 1.0, 0.0)
+        strength *= strength * inverse
+        count = len(self.awake)
+        return np.array([np.bincount(self.one, part, count) - np.bincount(self.other, part, count)[:count]
+                         for part in strength * away])
+
+    def move(self, moved):
+        """Take the new places [2, a] of the awake nodes; how far any has come since the list was made [m]."""
+        self.place[:, :len(self.awake)] = moved
+        self.place[:, self.known:] = self.place[:, self.images] * [[-1.0], [1.0]]
+        return np.sqrt(np.square(moved - self.built).sum(0).max())
+
+
+def _grown(cells):
+    """The cells and those beside them: [columns, rows], whose edges are empty."""
+    wide = cells.copy()
+    wide[1:] |= cells[:-1]
+    wide[:-1] |= cells[1:]
+    grown = wide.copy()
+    grown[:, 1:] |= wide[:, :-1]
+    grown[:, :-1] |= wide[:, 1:]
+    return grown
+
+
 def _relax(section, fixed, inner, spacing, rounds):
-    """Move the inner nodes apart for `rounds` sweeps with steps that shrink to rest."""
-    reach = REACH * spacing
+    """Move the inner nodes apart for `rounds` sweeps with steps that shrink to rest.
+
+    Deep inside, the lattice is at rest until the disturbance from the walls comes near: only where nodes move is looked at.
+    """
+    points = np.vstack([fixed, inner])
+    hot = np.ones(len(points), dtype=bool)
+    strayed, age = np.inf, 0
     for sweep in range(rounds):
-        everyone = _with_images(section, np.vstack([fixed, inner]), spacing)
-        distance, other = cKDTree(everyone).query(inner, k=10, distance_upper_bound=reach)
-        felt = np.isfinite(distance) & (distance > 1e-9 * spacing)
-        away = inner[:, None] - everyone[np.where(felt, other, 0)]
-        distance = np.where(felt, distance, reach)
-        push = np.where(felt, (reach / distance - 1.0) ** 2, 0.0)
-        step = 0.15 * spacing * (push[..., None] * away / distance[..., None]).sum(1)
-        length = np.linalg.norm(step, axis=1, keepdims=True)
+        if strayed > 0.5 * SKIN * spacing or age == LIST_AGE:
+            near = _Neighbourhood(section, len(fixed), points, hot, spacing)
+            hot[:] = False
+            age = 0
+            if not len(near.awake):
+                break
+        before = points[near.awake].T
+        step = 0.15 * spacing * near.push(REACH * spacing)
+        length = np.hypot(*step)
         limit = (0.1 * (1.0 - sweep / rounds) + 0.002) * spacing
-        moved = inner + step * np.minimum(1.0, limit / np.maximum(length, 1e-300))
-        moved[:, 0] = np.maximum(moved[:, 0], 0.3 * spacing)
-        inside = section.wall_clearance(moved) > 0.3 * spacing
-        inner = np.where(inside[:, None], moved, inner)
-    return inner
+        moved = before + step * np.minimum(1.0, limit / np.maximum(length, 1e-300))
+        moved[0] = np.maximum(moved[0], 0.3 * spacing)
+        moved = np.where(section.wall_clearance(moved.T) > 0.3 * spacing, moved, before)
+        points[near.awake] = moved.T
+        strayed = near.move(moved)
+        hot[near.awake] |= length > REST * spacing
+        age += 1
+    return points[len(fixed):]
 
 
 def triangulate(section: Section, points, spacing: float):

@@ -3,7 +3,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from taichi_eye.cloud.packing import FIXED, FREE, GAP_LIMIT, HOLE_LIMIT, SLIDE, WALL, pack
+from taichi_eye.cloud import packing
+from taichi_eye.cloud.packing import FIXED, FREE, GAP_LIMIT, HOLE_LIMIT, REACH, SLIDE, WALL, boundary, pack
 from taichi_eye.cloud.quality import measure
 from taichi_eye.errors import SceneError
 from taichi_eye.eye.section import Section
@@ -160,6 +161,44 @@ def test_the_same_section_gives_the_same_bits(name, spacing, clouds):
     for part in ("points", "kind", "direction", "triangles", "wall_index", "wall_fraction", "height_fraction"):
         first, second = getattr(clouds[name, spacing], part), getattr(again, part)
         assert first.tobytes() == second.tobytes() and first.dtype == second.dtype
+
+
+def all_pairs_relax(section, fixed, inner, spacing, rounds):
+    """The relaxation as its formula says it: every pair, every sweep."""
+    reach = REACH * spacing
+    for sweep in range(rounds):
+        everyone = np.vstack([fixed, inner, inner * (-1.0, 1.0)])
+        step = np.zeros_like(inner)
+        for i, others in enumerate(cKDTree(everyone).query_ball_point(inner, reach)):
+            away = inner[i] - everyone[[j for j in others if j != len(fixed) + i]]
+            distance = np.linalg.norm(away, axis=1, keepdims=True)
+            step[i] = 0.15 * spacing * ((reach / distance - 1.0) ** 2 * away / distance).sum(0)
+        length = np.linalg.norm(step, axis=1, keepdims=True)
+        longest = (0.1 * (1.0 - sweep / rounds) + 0.002) * spacing
+        moved = inner + step * np.minimum(1.0, longest / np.maximum(length, 1e-300))
+        moved[:, 0] = np.maximum(moved[:, 0], 0.3 * spacing)
+        inner = np.where((section.wall_clearance(moved) > 0.3 * spacing)[:, None], moved, inner)
+    return inner
+
+
+@pytest.mark.parametrize("name, spacing_mm, rounds", [("default", 0.25, 60), ("side wall", 0.3, 60), ("default", 0.1, 8)])
+def test_kept_lists_and_resting_nodes_change_nothing(name, spacing_mm, rounds):
+    section, spacing = section_of(name), spacing_mm * MM
+    fixed = boundary(section, spacing)[0]
+    r, z = np.meshgrid(np.arange(spacing, section.limbus_radius, spacing), np.arange(section.back_z, section.apex_z, 0.866 * spacing))
+    r[1::2] -= 0.5 * spacing
+    inner = np.column_stack([r.ravel(), z.ravel()])
+    inner = inner[section.wall_clearance(inner) > 0.6 * spacing]
+    quick = packing._relax(section, fixed, inner, spacing, rounds)
+    plain = all_pairs_relax(section, fixed, inner, spacing, rounds)
+    assert np.abs(quick - plain).max() < 1e-6 * spacing
+    assert np.abs(quick - inner).max() > 0.1 * spacing
+
+
+def test_a_large_cloud_is_as_even_as_a_small_one():
+    quality = measure(pack(section_of("default"), 0.03 * MM))
+    assert quality.nodes > 10_000 and quality.largest_hole <= HOLE_LIMIT and quality.smallest_gap >= GAP_LIMIT
+    assert 0.97 < quality.mean_gap < 1.0
 
 
 @pytest.mark.parametrize("spacing_mm", [1.5, 3.0, 20.0])
