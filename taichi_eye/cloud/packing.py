@@ -66,6 +66,11 @@ def _steps(length, spacing):
     return steps + 1 if length > 1.25 * spacing * steps else steps
 
 
+def cornea_elements(section: Section, spacing: float) -> int:
+    """Membrane elements of a cornea at `spacing` [m], one per wall node of its cloud."""
+    return _steps(section.cornea_length, spacing)
+
+
 def _along(start, end, spacing):
     """Points after `start` up to and including `end`, evenly spaced at about `spacing`."""
     return np.linspace(start, end, _steps(np.linalg.norm(np.subtract(end, start)), spacing) + 1)[1:]
@@ -84,7 +89,7 @@ def _lens_arc(section, spacing):
 def boundary(section: Section, spacing: float):
     """Boundary nodes and what they may do: points [b, 2], kind [b], direction [b, 2], wall_count."""
     limbus, back_z = section.limbus_radius, section.back_z
-    elements = _steps(section.cornea_length, spacing)
+    elements = cornea_elements(section, spacing)
     points, kind, direction = [], [], []
 
     def add(nodes, what, slide=(0.0, 0.0)):

@@ -297,6 +297,19 @@ class Cornea:
         return energy + self.bending_energy()
 
     @ti.func
+    def wave_speeds(self, k):
+        """Speeds [m/s] of the in-plane and the transverse waves in element k; the in-plane tangent is the meridian's."""
+        strain = self.strain_of(k)
+        stress, energy = self.stress_of(strain, self.prestrain[k])
+        density = self.mass[1] / (0.5 * (self.element_volume[0] + self.element_volume[1]))
+        s, nu = self.material[1], self.material[2]
+        grown = 2.0 * s * (energy + self.material[0])
+        slope = (1.0 - nu) * strain[0] + nu * (strain[0] + strain[1])
+        stretch_squared = 2.0 * (strain[0] - self.prestrain[k]) + 1.0
+        stiffness = grown * (1.0 + 2.0 * s * slope * slope) * stretch_squared + stress[0]
+        return ti.sqrt(ti.max(stiffness, 0.0) / density), ti.sqrt(ti.max(stress[0], 0.0) / density)
+
+    @ti.func
     def kinetic_energy(self):
         """Kinetic energy of the membrane [J]."""
         energy = 0.0

@@ -15,7 +15,7 @@ from taichi_eye.solver.survey import Survey
 
 SMALLEST = 256  # nodes
 
-_free: dict[tuple, list["Workspace"]] = {}
+_free: dict[tuple, list] = {}
 
 
 class Workspace:
@@ -29,17 +29,23 @@ class Workspace:
         self.survey = Survey(self.cornea, self.aqueous, self.coupling)
 
 
-def _capacity(count: int) -> int:
-    capacity = SMALLEST
-    while capacity < count:
-        capacity *= 2
-    return capacity
+def capacity(count: int, smallest: int = SMALLEST) -> int:
+    """The power of two, at least `smallest`, that holds `count`."""
+    held = smallest
+    while held < count:
+        held *= 2
+    return held
+
+
+def reuse(holder, kind: tuple, make):
+    """Something of a kind, made by `make()` where none is free; free again once `holder` is gone."""
+    free = _free.setdefault(kind, [])
+    workspace = free.pop() if free else make()
+    weakref.finalize(holder, free.append, workspace).atexit = False
+    return workspace
 
 
 def borrow(holder, nodes: int, walls: int, basis: str) -> Workspace:
     """A workspace for `nodes` nodes, `walls` of them on the cornea; free again once `holder` is gone."""
-    kind = backend.generation(), _capacity(nodes), _capacity(walls), basis
-    free = _free.setdefault(kind, [])
-    workspace = free.pop() if free else Workspace(kind[1], kind[2], basis)
-    weakref.finalize(holder, free.append, workspace).atexit = False
-    return workspace
+    sizes = capacity(nodes), capacity(walls)
+    return reuse(holder, (backend.generation(), *sizes, basis), lambda: Workspace(*sizes, basis))

@@ -1,0 +1,339 @@
+"""Reduced models: the cornea over a liquid that is not resolved in time. They have no acoustics and no acoustic time step.
+
+The membrane is that of `taichi_eye.solver.cornea`. Its ring i, of area vector G_i = dV/dx_i, feels the excess pressure p_i:
+
+membrane    p = 0: the IOP stays, whatever the chamber's volume (studies without fluid did that).
+cavity      p = p0, uniform: the chamber is sealed and yields to pressure by its compliance alone.
+added_mass  p from incompressible potential flow (`taichi_eye.solver.potential`), Bernoulli's equation on the moving nodes,
+
+    p = p0 - rho [ N (G . a + dG/dt . v) + dN/dt Q + (phi_s^2 - v_n^2)/2 - v_s phi_s ],   Q = G . v,  phi = N Q on the wall,
+
+where s runs along the wall, v_n and v_s are the wall's velocity across and along. With a = (F + G p)/m and D = |G|^2/m
+this is (1 + rho N D) p = p0 - rho [N (G . F/m + dG/dt . v) + ...]. N is refreshed once the wall has moved by
+`REFRESH_TRAVEL` spacings; between refreshes the inverse at the last one corrects the defect of the pressure of the step
+before, one sweep per step. What is quadratic in the velocity is taken once per sample.
+
+Volume. p0 is the multiplier of V(x) = V0 - C p0 at the END of the step, found by Newton's iteration to 1e-13 of V0, so a
+stiff chamber costs no time step and its volume does not drift. C is the compliance of the globe (`chamber.compliance`)
+plus V0 / K with K the bulk modulus of water. Where C is so soft that the chamber's own mode is resolved, p0 = (V0 - V)/C
+of the start of the step: the end's value would damp it. In an open chamber p0 = 0.
+
+Time: leapfrog, the membrane's in-plane waves (and bending) set the step. A sample's steps run inside one kernel.
+"""
+import taichi as ti
+
+from taichi_eye.backend import real
+from taichi_eye.solver.cornea import Cornea
+
+SMOOTHINGS = 4  # of what is quadratic in the velocity
+PUFF_ROWS = 4  # of the puff's table per sample, linear in between
+RUNNING, SLACK, CLOSED, NOT_FINITE, GREW = range(5)
+CLOSED_SHARE = 0.1  # of the height at rest: the cornea is about to touch the back of the chamber
+ENERGY_SHARE, ENERGY_FLOOR = 0.1, 1e-10  # of the largest work, J: more energy than that came from nowhere
+FIGURES = ("apex_place", "apex_velocity", "pressure_apex", "volume_error", "puff_work", "cornea_elastic",
+           "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic", "least_stress")
+
+
+@ti.data_oriented
+class WallStepper:
+    """Steps a cornea under a reduced pressure model; capacity and fields are the cornea's.
+
+    flowing: whether the pressure varies along the wall (added mass); `sealed`, `compliance` [m^3/Pa] as above.
+    """
+
+    def __init__(self, cornea: Cornea, flowing: bool):
+        fp = real()
+        self.cornea, self.flowing = cornea, flowing
+        vector = lambda: ti.Vector.field(2, fp, cornea.capacity)
+        scalar = lambda: ti.field(fp, cornea.capacity)
+        self.ring, self.ring_before, self.free, self.trial, self.moved = (vector() for _ in range(5))
+        self.pressure, self.unit_pressure, self.flux_rate, self.quadratic, self.defect, self.across = (
+            scalar() for _ in range(6))
+        self.back, self.travel_from = scalar(), vector()
+        width = cornea.capacity if flowing else 1
+        self.neumann, self.inverse, self.neumann_rate = (ti.field(fp, (width, width)) for _ in range(3))
+        self.mean_pressure, self.rest_volume, self.rest_enclosed, self.compliance, self.density = (
+            ti.field(fp, ()) for _ in range(5))
+        self.sealed, self.status, self.place_of_failure, self.steps = (ti.field(ti.i32, ()) for _ in range(4))
+        self.last_dt, self.rest_energy, self.largest_work, self.bending_step = (ti.field(fp, ()) for _ in range(4))
+
+    @ti.kernel
+    def setup(self, back: ti.types.ndarray(), volume: float, compliance: float, sealed: int, density: float,
+              bending_step: float):
+        """Take the cornea's present state as rest; back [walls]: z of the rigid back below each node [m]; density of the
+        liquid [kg/m^3]; bending_step [s]: limit of the step by the plate's stiffest wave per squared element [s/m^2]."""
+        self.sealed[None], self.status[None], self.steps[None] = sealed, RUNNING, 0
+        self.compliance[None], self.rest_volume[None], self.density[None] = compliance, volume, density
+        self.mean_pressure[None], self.last_dt[None], self.largest_work[None] = 0.0, 0.0, 0.0
+        self.bending_step[None] = bending_step
+        for i in range(self.cornea.elements[None] + 1):
+            zero = ti.Vector([0.0, 0.0])
+            self.back[i] = back[i]
+            self.pressure[i], self.unit_pressure[i], self.quadratic[i], self.flux_rate[i] = 0.0, sealed, 0.0, 0.0
+            self.moved[i], self.travel_from[i] = zero, self.cornea.place[i]
+            self.ring[i] = self.cornea.held(i, self.cornea.volume_gradient(i))
+            self.ring_before[i] = self.ring[i]
+        ti.loop_config(serialize=True)
+        for once in range(1):
+            self.rest_enclosed[None] = self.cornea.enclosed_volume()
+            self.rest_energy[None] = self.cornea.elastic_energy()
+
+    @ti.kernel
+    def load_flow(self, neumann: ti.types.ndarray(), inverse: ti.types.ndarray(), rate: ti.types.ndarray(),
+                  unit: ti.types.ndarray()):
+        """New maps: N [1/m], (1 + rho N D)^-1, dN/dt, and the response of the pressure to a unit p0."""
+        for i in range(unit.shape[0]):
+            self.unit_pressure[i] = unit[i]
+            self.travel_from[i] = self.cornea.place[i]
+            for j in range(unit.shape[0]):
+                self.neumann[i, j], self.inverse[i, j] = neumann[i, j], inverse[i, j]
+                self.neumann_rate[i, j] = rate[i, j]
+
+    @ti.func
+    def stable_step(self):
+        """The step limit [s] of the membrane's waves now."""
+        step = ti.math.inf
+        shortest = ti.math.inf
+        for k in range(self.cornea.elements[None]):
+            in_plane, transverse = self.cornea.wave_speeds(k)
+            length = self.cornea.element_length[k]
+            step = ti.min(step, length / ti.max(ti.max(in_plane, transverse), 1e-6))
+            shortest = ti.min(shortest, length)
+        return ti.min(step, self.bending_step[None] * shortest * shortest)
+
+    @ti.func
+    def _volume_at(self, place: ti.template()):
+        volume = 0.0
+        for k in range(self.cornea.elements[None]):
+            a, b = place[k], place[k + 1]
+            volume += ti.math.pi * (0.5 * (a[0] + b[0])) ** 2 * (a[1] - b[1])
+        return volume + self.rest_volume[None] - self.rest_enclosed[None]
+
+    @ti.func
+    def _collect(self, puff):
+        """Forces on the rings at the present place, without the liquid's excess pressure."""
+        count = self.cornea.elements[None]
+        for k in range(count):
+            self.cornea.stretch_element(k)
+        work = 0.0
+        for i in range(count):
+            self.cornea.air_pressure[i] = puff * self.cornea.load_shape[i]
+            ring = self.cornea.volume_gradient(i)
+            solid = self.cornea.elastic_force(i) + self.cornea.iop[None] * ring - self.cornea.residual[i]
+            air = -self.cornea.air_pressure[i] * ring
+            work += 0.5 * (self.cornea.force_air[i] + air).dot(self.moved[i])
+            self.cornea.force_solid[i], self.cornea.force_air[i] = solid, air
+            self.ring_before[i] = self.ring[i]
+            self.ring[i] = self.cornea.held(i, ring)
+            self.free[i] = self.cornea.held(i, (solid + air) / self.cornea.mass[i])
+        self.cornea.puff_work[None] += work
+
+    @ti.func
+    def _flow_pressure(self, dt_before):
+        """The excess pressure on the wall at the p0 of the last step: one sweep from the pressure of that step."""
+        count = self.cornea.elements[None]
+        for i in range(count):
+            turning = (self.ring[i] - self.ring_before[i]).dot(self.cornea.velocity[i]) / dt_before
+            mobility = self.ring[i].norm_sqr() / self.cornea.mass[i]
+            self.flux_rate[i] = self.ring[i].dot(self.free[i]) + turning + mobility * self.pressure[i]
+        for i in range(count):
+            total = self.quadratic[i]
+            for j in range(count):
+                total += self.neumann[i, j] * self.flux_rate[j]
+            self.defect[i] = self.mean_pressure[None] - self.density[None] * total - self.pressure[i]
+        for i in range(count):
+            total = 0.0
+            for j in range(count):
+                total += self.inverse[i, j] * self.defect[j]
+            self.pressure[i] += total
+
+    @ti.func
+    def _smooth(self, field: ti.template()):
+        """(1, 2, 1)/4 along the wall, mirrored at the axis: removes what alternates from node to node."""
+        count = self.cornea.elements[None]
+        behind = field[1]
+        for i in range(count):
+            here = field[i]
+            ahead = field[ti.min(i + 1, count - 1)]
+            field[i] = 0.25 * (behind + 2.0 * here + ahead)
+            behind = here
+
+    @ti.func
+    def _find_quadratic(self):
+        """dN/dt Q + (phi_s^2 - v_n^2)/2 - v_s phi_s on the wall, smoothed; phi goes into `defect`."""
+        count = self.cornea.elements[None]
+        for i in range(count):
+            self.across[i] = self.cornea.velocity[i].dot(self.ring[i].normalized())
+        for once in ti.static(range(SMOOTHINGS)):
+            self._smooth(self.across)
+        for i in range(count):
+            self.flux_rate[i] = self.ring[i].norm() * self.across[i]
+        for i in range(count):
+            potential, drift = 0.0, 0.0
+            for j in range(count):
+                potential += self.neumann[i, j] * self.flux_rate[j]
+                drift += self.neumann_rate[i, j] * self.flux_rate[j]
+            self.defect[i], self.quadratic[i] = potential, drift
+        # the limbus does not move and takes no part: a one-sided slope beside it
+        for i in range(count):
+            slope, sliding = 0.0, 0.0
+            if i > 0:
+                ahead = ti.min(i + 1, count - 1)
+                arm = self.cornea.place[ahead] - self.cornea.place[i - 1]
+                slope = (self.defect[ahead] - self.defect[i - 1]) / arm.norm()
+                sliding = self.cornea.velocity[i].dot(arm.normalized())
+            self.quadratic[i] += 0.5 * (slope * slope - self.across[i] ** 2) - sliding * slope
+        for once in ti.static(range(SMOOTHINGS)):
+            self._smooth(self.quadratic)
+
+    @ti.func
+    def _step(self, puff, dt, kick, dt_before):
+        count = self.cornea.elements[None]
+        self._collect(puff)
+        if ti.static(self.flowing):
+            self._flow_pressure(dt_before)
+        reach, swing = dt * kick, 0.0
+        for i in range(count):
+            self.free[i] += self.ring[i] * (self.pressure[i] / self.cornea.mass[i])
+            swing += self.unit_pressure[i] * self.ring[i].norm_sqr() / self.cornea.mass[i]
+        change, p0 = 0.0, self.mean_pressure[None]
+        if self.sealed[None] == 1:
+            give = self.compliance[None]
+            if reach * swing < give:
+                change = (self.rest_volume[None] - self._volume_at(self.cornea.place)) / give - p0
+            else:
+                for sweep in range(4):
+                    for i in range(count):
+                        a = self.free[i] + self.ring[i] * (change * self.unit_pressure[i] / self.cornea.mass[i])
+                        self.trial[i] = self.cornea.place[i] + dt * (self.cornea.velocity[i] + kick * a)
+                    self.trial[count] = self.cornea.place[count]
+                    miss = self._volume_at(self.trial) + give * (p0 + change) - self.rest_volume[None]
+                    if ti.abs(miss) > 1e-13 * self.rest_volume[None]:
+                        change -= miss / (reach * swing + give)
+                    else:
+                        break
+        self.mean_pressure[None] = p0 + change
+        for i in range(count):
+            self.pressure[i] += change * self.unit_pressure[i]
+            a = self.free[i] + self.ring[i] * (change * self.unit_pressure[i] / self.cornea.mass[i])
+            self.cornea.acceleration[i] = a
+            self.cornea.velocity[i] += kick * a
+            self.moved[i] = dt * self.cornea.velocity[i]
+            self.cornea.place[i] += self.moved[i]
+
+    @ti.kernel
+    def advance(self, puff: ti.types.ndarray(), first: int, last: int, span: float, cfl: float, far: float,
+                record: ti.types.ndarray(), per_frame: int, frames: ti.types.ndarray()) -> ti.i32:
+        """Take samples of `span` [s] from sample `first` to `last`; the sample reached.
+
+        Ends early where a guard stops it (`status`), or once a node has moved by `far` [m] since the maps were loaded.
+        puff: its table [Pa], PUFF_ROWS intervals per sample from time 0. Filled: record [samples + 1, FIGURES], and at
+        every `per_frame` samples frames [frame, node, place 2, velocity 2, acceleration 2, excess pressure].
+        """
+        reached = first
+        going = True
+        while going and reached < last and self.status[None] == RUNNING:
+            steps = ti.cast(ti.ceil(span / (cfl * self.stable_step())), ti.i32)
+            dt = span / steps
+            if ti.static(self.flowing):
+                self._find_quadratic()
+            for n in range(steps):
+                at = (reached + n / steps) * PUFF_ROWS
+                row = ti.min(ti.cast(at, ti.i32), puff.shape[0] - 2)
+                load = puff[row] + (at - row) * (puff[row + 1] - puff[row])
+                before = dt
+                if n == 0:
+                    before = self.last_dt[None]
+                self._step(load, dt, 0.5 * (dt + before), ti.select(before > 0.0, before, dt))
+            self.last_dt[None] = dt
+            self.steps[None] += steps
+            reached += 1
+            if ti.static(self.flowing):
+                self._age_maps(span)
+            self._survey(record, reached, 0.5 * dt)
+            if reached % per_frame == 0 and reached // per_frame < frames.shape[0]:
+                self._keep(frames, reached // per_frame, 0.5 * dt)
+            if ti.static(self.flowing):
+                going = self._travel() < far
+        return reached
+
+    @ti.func
+    def _keep(self, frames: ti.template(), frame, half):
+        for i in range(self.cornea.elements[None] + 1):
+            v = self.cornea.velocity[i] + half * self.cornea.acceleration[i]
+            for k in ti.static(range(2)):
+                frames[frame, i, k] = self.cornea.place[i][k]
+                frames[frame, i, 2 + k] = v[k]
+                frames[frame, i, 4 + k] = self.cornea.acceleration[i][k]
+            frames[frame, i, 6] = self.pressure[i]
+
+    @ti.kernel
+    def show(self, frame: ti.types.ndarray()):
+        """Put one frame, [nodes, 7] as `advance` keeps it, into the cornea's fields."""
+        for i in range(frame.shape[0]):
+            self.cornea.place[i] = ti.Vector([frame[i, 0], frame[i, 1]])
+            self.cornea.velocity[i] = ti.Vector([frame[i, 2], frame[i, 3]])
+            self.cornea.acceleration[i] = ti.Vector([frame[i, 4], frame[i, 5]])
+
+    @ti.func
+    def _survey(self, record: ti.template(), row, half):
+        count = self.cornea.elements[None]
+        volume = self._volume_at(self.cornea.place)
+        least, slackest, finite = ti.math.inf, 0, 1
+        room, near = ti.math.inf, 0
+        kinetic, swept, work = 0.0, 0.0, self.cornea.puff_work[None]
+        for i in range(count):
+            stress = self.cornea.stress[i]
+            if ti.min(stress[0], stress[1]) < least:
+                least, slackest = ti.min(stress[0], stress[1]), i
+            above = (self.cornea.place[i][1] - self.back[i]) / (self.cornea.rest[i][1] - self.back[i])
+            if above < room:
+                room, near = above, i
+            v = self.cornea.velocity[i] + half * self.cornea.acceleration[i]
+            kinetic += 0.5 * self.cornea.mass[i] * v.norm_sqr()
+            work += 0.5 * self.cornea.force_air[i].dot(self.moved[i])
+            sum = self.cornea.place[i].sum() + v.sum()
+            if ti.math.isnan(sum) or ti.math.isinf(sum):
+                finite = 0
+                near = i
+            if ti.static(self.flowing):
+                self.flux_rate[i] = self.ring[i].dot(v)
+        if ti.static(self.flowing):
+            for i in range(count):
+                potential = 0.0
+                for j in range(count):
+                    potential += self.neumann[i, j] * self.flux_rate[j]
+                swept += 0.5 * self.density[None] * self.flux_rate[i] * potential
+        p0 = self.mean_pressure[None]
+        elastic = self.cornea.elastic_energy() - self.rest_energy[None]
+        stored = 0.5 * self.compliance[None] * p0 * p0 + self.cornea.iop[None] * (self.rest_volume[None] - volume)
+        self.largest_work[None] = ti.max(self.largest_work[None], ti.abs(work))
+        gained = elastic + kinetic + swept + stored - work
+        if finite == 0 or ti.math.isnan(gained):
+            self.status[None], self.place_of_failure[None] = NOT_FINITE, near
+        elif least <= 0.0:
+            self.status[None], self.place_of_failure[None] = SLACK, slackest
+        elif room < CLOSED_SHARE:
+            self.status[None], self.place_of_failure[None] = CLOSED, near
+        elif gained > ENERGY_SHARE * self.largest_work[None] + ENERGY_FLOOR:
+            self.status[None] = GREW
+        figures = ti.Vector([
+            self.cornea.place[0][1], self.cornea.velocity[0][1] + half * self.cornea.acceleration[0][1],
+            self.cornea.iop[None] + self.pressure[0], volume / self.rest_volume[None] - 1.0,
+            work, elastic, kinetic, swept, stored, least])
+        for q in ti.static(range(len(FIGURES))):
+            record[row, q] = figures[q]
+
+    @ti.func
+    def _age_maps(self, span):
+        # the last known rate carries N on until the next refresh
+        for i in range(self.cornea.elements[None]):
+            for j in range(self.cornea.elements[None]):
+                self.neumann[i, j] += span * self.neumann_rate[i, j]
+
+    @ti.func
+    def _travel(self):
+        farthest = 0.0
+        for i in range(self.cornea.elements[None]):
+            farthest = ti.max(farthest, (self.cornea.place[i] - self.travel_from[i]).norm())
+        return farthest
