@@ -17,13 +17,15 @@ from taichi_eye import backend
 from taichi_eye.errors import RunStopped
 from taichi_eye.eye.globe import retreat_mm
 from taichi_eye.film import FilmView, FilmWriter, FrameState, write_gif
+from taichi_eye.ladder.choose import Choice, choose
+from taichi_eye.ladder.rungs import needs_cloud, simulation_of
 from taichi_eye.report.compare import Measured, differences, read_measured
 from taichi_eye.report.folder import create_run_folder, refuse_taken, write_text
 from taichi_eye.report.history import summarise
 from taichi_eye.report.plots import plot_apex, plot_sheet, sheet_times
 from taichi_eye.report.traces import write_traces, write_wall
 from taichi_eye.scene import Scene, dump_scene
-from taichi_eye.solver.simulation import Simulation, cloud_of
+from taichi_eye.solver.simulation import cloud_of
 from taichi_eye.units import MM
 
 KEPT_FRAMES = 300  # frames held for the sheet and the GIF; a longer film is thinned
@@ -53,15 +55,19 @@ def run(scene: Scene, out: str | Path | None = None, name: str = "eye", compare:
     refuse_taken(out)
     measured = read_measured(compare) if compare is not None else None
     backend.real()
-    cloud = cloud_of(scene)
-    return _Recorder(scene, measured, progress).run(cloud, out, name)
+    choice = None
+    if scene.numerics.fidelity == "auto":
+        choice = choose(scene)
+        scene = choice.scene
+    cloud = cloud_of(scene) if needs_cloud(scene) else None
+    return _Recorder(scene, measured, progress, choice).run(cloud, out, name)
 
 
 class _Recorder:
     """Holds what one run writes as it goes."""
 
-    def __init__(self, scene, measured: Measured | None, progress):
-        self.scene, self.measured, self.progress = scene, measured, progress
+    def __init__(self, scene, measured: Measured | None, progress, choice: Choice | None = None):
+        self.scene, self.measured, self.progress, self.choice = scene, measured, progress, choice
         self.frames: list[tuple[float, np.ndarray]] = []
         self.colour_frames: list[np.ndarray] = []
         self.walls: list[tuple[float, np.ndarray]] = []
@@ -79,13 +85,15 @@ class _Recorder:
         with tqdm(total=scene.numerics.duration_ms, unit=" ms", disable=not self.progress, dynamic_ncols=True,
                   bar_format="{desc}{percentage:3.0f}%|{bar}| {n:.1f}/{total:g} ms [{elapsed}<{remaining}]") as bar:
             bar.set_description_str("compiling kernels: ")
-            simulation = Simulation(scene, cloud)
+            simulation = self._simulation(cloud)
             self.folder = create_run_folder(out, name)
             write_text(self.folder / "scene.toml", dump_scene(scene))
             view = FilmView(scene)
             self.clock["setup_s"] = time.perf_counter() - started
             if self.progress:
                 bar.write(_announce(simulation))
+                if self.choice is not None:
+                    bar.write(f"auto     {self.choice.reason}")
             bar.set_description_str("air puff: ")
             stop: BaseException | None = None
             if output.node_fields:
@@ -114,18 +122,26 @@ class _Recorder:
             raise stop
         return result
 
+    def _simulation(self, cloud):
+        ready = self.choice.simulation if self.choice is not None else None
+        if ready is None:
+            return simulation_of(self.scene, cloud)
+        # the pilot that was chosen has run already and is only filmed
+        ready.cloud = cloud
+        return ready
+
     def _film(self, simulation, view, film, frame):
         scene, traces = self.scene, simulation.traces
         retreat = float(retreat_mm(scene, simulation.time_ms))
+        place, velocity, pressure, count = simulation.liquid() if needs_cloud(scene) else (None, None, None, 0)
         state = FrameState(
-            time_ms=simulation.time_ms, wall=simulation.cornea.place, wall_count=simulation.cloud.wall_count,
-            nodes=simulation.aqueous.place, node_count=simulation.cloud.count, pressure=simulation.aqueous.pressure,
-            velocity=simulation.aqueous.velocity, trace_time_ms=np.array(traces["time_ms"]),
+            time_ms=simulation.time_ms, wall=simulation.cornea.place, wall_count=simulation.wall_count,
+            nodes=place, node_count=count, pressure=pressure, velocity=velocity, trace_time_ms=np.array(traces["time_ms"]),
             trace_apex_mm=np.array(traces["apex_displacement_mm"]), trace_puff_kpa=np.array(traces["puff_apex_kpa"]),
             retreat_mm=retreat)
         image = view.render(state)
         film.write(image, simulation.time_ms)
-        wall = simulation.cornea.place.to_numpy()[:simulation.cloud.wall_count] / MM
+        wall = simulation.cornea.place.to_numpy()[:simulation.wall_count] / MM
         self.walls.append((simulation.time_ms, wall - [0.0, retreat]))
         if frame % self.stride == 0 or frame == scene.camera.frame_count - 1:
             slit = image if view.kind == "scheimpflug" else view.scheimpflug_frame(state)
@@ -133,11 +149,10 @@ class _Recorder:
             if scene.output.gif and frame % (GIF_STRIDE * self.stride) == 0:
                 self.colour_frames.append(image.copy())
         if self.paraview is not None:
-            count, walls = simulation.cloud.count, simulation.cloud.wall_count
+            walls = simulation.wall_count
             self.paraview.add_frame(
-                simulation.time_ms, simulation.aqueous.place.to_numpy()[:count], simulation.cloud.triangles,
-                {"excess_pressure_pa": simulation.aqueous.pressure.to_numpy()[:count],
-                 "velocity_m_s": simulation.aqueous.velocity.to_numpy()[:count]},
+                simulation.time_ms, place.to_numpy()[:count], simulation.cloud.triangles,
+                {"excess_pressure_pa": pressure.to_numpy()[:count], "velocity_m_s": velocity.to_numpy()[:count]},
                 simulation.cornea.place.to_numpy()[:walls],
                 {"velocity_m_s": simulation.cornea.velocity.to_numpy()[:walls]})
 
@@ -162,24 +177,22 @@ class _Recorder:
                       fps=self.scene.output.film_fps / (GIF_STRIDE * self.stride), colours=GIF_COLOURS)
         self.clock["report_s"] = time.perf_counter() - before
         summary = _summary(simulation, traces, history, stop, self.clock, self.measured)
+        if self.choice is not None:
+            summary["choice"] = self.choice.as_dict()
         write_text(self.folder / "summary.json", json.dumps(summary, indent=2) + "\n")
         return RunResult(self.folder, summary, traces)
 
 
 def _announce(simulation) -> str:
-    quality, scene = simulation.quality, simulation.scene
-    condition = float(simulation.aqueous.operators.condition.to_numpy()[:simulation.cloud.count].max())
-    return (f"cornea   {simulation.cloud.wall_count - 1} elements, R {scene.cornea.radius_mm:g} mm, limbus "
+    scene = simulation.scene
+    return (f"cornea   {simulation.wall_count - 1} elements, R {scene.cornea.radius_mm:g} mm, limbus "
             f"{scene.cornea.limbus_radius_mm:g} mm, {scene.cornea.thickness_mm:g} mm thick, IOP {scene.eye.iop_mmhg:g} mmHg\n"
-            f"aqueous  {quality.nodes} nodes at {scene.numerics.spacing_mm:g} mm ({scene.numerics.basis}), smallest gap "
-            f"{quality.smallest_gap:.2f} and largest hole {quality.largest_hole:.2f} spacings, stencil condition <= "
-            f"{condition:.0f}, c {scene.numerics.sound_speed_m_s:g} m/s\n"
+            f"aqueous  {scene.numerics.fidelity}: {simulation.about()}\n"
             f"puff     {scene.puff.time_course}, {float(simulation.puff.peak) / 1e3:g} kPa")
 
 
 def _summary(simulation, traces, history, stop, clock, measured) -> dict:
     load = summarise(traces["time_ms"], traces["puff_apex_kpa"])
-    condition = simulation.aqueous.operators.condition.to_numpy()[:simulation.cloud.count]
     work = float(np.abs(traces["puff_work_uj"]).max())
     apex = {**asdict(history), "fwhm_ms": history.fwhm_ms, "asymmetry": history.asymmetry,
             "delay_to_puff_ms": history.peak_time_ms - load.peak_time_ms if history.peak > 0 else None}
@@ -192,13 +205,8 @@ def _summary(simulation, traces, history, stop, clock, measured) -> dict:
         "cornea_min_stress_kpa": float(traces["cornea_min_stress_kpa"].min()),
         "chamber_volume_error_max": float(np.abs(traces["chamber_volume_error"]).max()),
         "energy_error_share_of_work": float(np.abs(traces["energy_error_uj"]).max()) / work if work > 0 else 0.0,
-        "coupling_iterations": {"mean": float(traces["coupling_iterations"][1:].mean()) if len(traces["time_ms"]) > 1
-                                else 0.0, "most": int(traces["coupling_iterations"].max())},
-        "cloud": {**asdict(simulation.quality), "wall_nodes": simulation.cloud.wall_count,
-                  "worst_stencil_condition": float(condition.max())},
-        "steps": simulation.steps,
-        "step_limit": simulation.step_limit,
-        "operator_rebuilds": simulation.rebuilds,
+        "fidelity": simulation.scene.numerics.fidelity,
+        **simulation.facts(),
         "wall_clock": {name: round(seconds, 3) for name, seconds in clock.items()},
     }
     summary["warnings"] = _warnings(summary, simulation.scene)
@@ -215,7 +223,7 @@ def _warnings(summary, scene) -> list[str]:
     if balance > BALANCE_DOUBTED:
         said.append(f"the energy balance is off by {100 * balance:.1f} % of the puff's work: lower numerics.spacing_mm"
                     + (", or use numerics.wall_condition = \"slip\"" if scene.numerics.wall_condition == "no_slip" else ""))
-    if scene.chamber.sealed and squeezed > SQUEEZE_DOUBTED:
+    if scene.chamber.sealed and scene.numerics.fidelity != "membrane" and squeezed > SQUEEZE_DOUBTED:
         said.append(f"the liquid was compressed by {100 * squeezed:.1f} %, which deepens the dent: raise "
                     "numerics.sound_speed_m_s")
     return said

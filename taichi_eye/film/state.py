@@ -16,7 +16,7 @@ class FrameState:
         time_ms: time since the first frame [ms].
         wall: anterior surface (r, z) [m], apex first, limbus last, ti.Vector.field(2).
         wall_count: wall nodes in use, at least 3.
-        nodes: fluid nodes (r, z) [m], ti.Vector.field(2).
+        nodes: fluid nodes (r, z) [m], ti.Vector.field(2); this and the two below None where only the slit is drawn.
         node_count: fluid nodes in use.
         pressure: pressure on the fluid nodes less the IOP [Pa], scalar ti.field.
         velocity: velocity (r, z) of the fluid [m/s], ti.Vector.field(2).
@@ -31,10 +31,10 @@ class FrameState:
     time_ms: float
     wall: ti.MatrixField
     wall_count: int
-    nodes: ti.MatrixField
+    nodes: ti.MatrixField | None
     node_count: int
-    pressure: ti.ScalarField
-    velocity: ti.MatrixField
+    pressure: ti.ScalarField | None
+    velocity: ti.MatrixField | None
     trace_time_ms: np.ndarray
     trace_apex_mm: np.ndarray
     trace_puff_kpa: np.ndarray

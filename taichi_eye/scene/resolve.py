@@ -16,6 +16,7 @@ from taichi_eye.units import MM, MMHG
 CONSISTENT = 1e-6         # relative agreement asked of keys that determine each other
 NODES_MAX = 200_000       # of the fluid: beyond it a run would take days
 SPACINGS_DEEP = 4         # the chamber on the axis is at least so many spacings deep
+REFRESH_TRAVEL = 0.05, 0.5  # mfpm, added_mass
 LENS_CLEARANCE = 2        # spacings between lens and cornea at rest
 
 
@@ -29,6 +30,7 @@ def resolve(draft: Draft) -> None:
     draft.stop_if_refused()
     _tissue(draft)
     _chamber(draft)
+    _numerics(draft)
     _puff(draft)
     _camera(draft)
     for name, _, spec in all_keys():
@@ -132,6 +134,12 @@ def _lens(draft: Draft, centre: float, back: float) -> float | None:
         return None
     angle = math.acos(1.0 - height / radius)
     return 0.5 * radius**2 * (angle - math.sin(angle) * math.cos(angle))
+
+
+def _numerics(draft: Draft) -> None:
+    """How often operators or flow maps are made anew, by what they are for."""
+    if draft["numerics.refresh_travel"] == AUTO:
+        draft.values["numerics.refresh_travel"] = REFRESH_TRAVEL[draft["numerics.fidelity"] == "added_mass"]
 
 
 def _puff(draft: Draft) -> None:

@@ -124,8 +124,15 @@ class PuffLoad:
 
 @dataclass(frozen=True)
 class Numerics:
-    """Discretisation of the fluid, the membrane and their coupling"""
+    """What is modelled, and the discretisation of the fluid, the membrane and their coupling"""
 
+    fidelity: str = key("mfpm", "model of the liquid: none, IOP constant; uniform pressure of the sealed chamber; added mass "
+                        "of potential flow; the resolved flow; or the cheapest of them that keeps the tolerance, at a "
+                        "spacing and sound speed that do", choices=("membrane", "cavity", "added_mass", "mfpm", "auto"))
+    tolerance_percent: float = key(1.0, "for auto: largest error of the apex's peak, 50 % times and whole history", unit="%",
+                                   at_least=0.1, at_most=50)
+    tolerance_on: str = key("apex", "for auto: what the tolerance holds for; pressure: that under the apex as well",
+                            choices=("apex", "pressure"))
     spacing_mm: float = key(0.1, "node spacing of the fluid", unit="mm", above=0, at_most=10)
     basis: str = key("quadratic", "Taylor basis of the mesh-free operators", choices=("quadratic", "cubic"))
     sound_speed_m_s: float = key(80.0, "numerical speed of sound; its compliance deepens the dent as c^-2", unit="m/s",
@@ -140,6 +147,8 @@ class Numerics:
     relaxation_factor: float = key(1.0, "relaxation factor, the first one with aitken", above=0, at_most=2)
     coupling_tolerance: float = key(1e-8, "relative residual at which the iteration ends", above=0, at_most=0.1)
     coupling_iterations_max: int = key(20, "the run stops where a step needs more", at_least=1, at_most=1000)
+    refresh_travel: float = key(AUTO, "travel of the cornea, in spacings, after which operator weights (mfpm) or the flow's "
+                                "map (added_mass) are made anew; auto: 0.05, and 0.5", above=0, at_most=10)
     duration_ms: float = key(32.0, "simulated time", unit="ms", above=0, at_most=1000)
 
 

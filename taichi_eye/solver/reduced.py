@@ -5,12 +5,14 @@ can be filmed afterwards. Where a film shows the liquid, its velocity and pressu
 under the wall's own motion, computed for that frame alone: the wall of a cheap rung drives them, they do not act back.
 """
 import math
+from dataclasses import asdict
 from typing import Callable
 
 import numpy as np
 
 from taichi_eye import backend
 from taichi_eye.cloud.packing import Cloud, cornea_elements, pack
+from taichi_eye.cloud.quality import measure
 from taichi_eye.errors import RunStopped
 from taichi_eye.eye.puff import Puff
 from taichi_eye.eye.section import Section
@@ -26,7 +28,6 @@ from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
 
 MODELS = ("membrane", "cavity", "layer", "added_mass")
 BULK_MODULUS = 2.2e9  # Pa, water
-REFRESH_TRAVEL = 0.5  # wall travel, in spacings, after which the flow maps are refreshed
 STOPS = {
     SLACK: ("the cornea went slack",
             "A membrane carries no compression: lower puff.peak_kpa, raise eye.iop_mmhg or cornea.prestrain."),
@@ -119,6 +120,11 @@ class Reduced:
         return int(self.stepper.steps[None])
 
     @property
+    def out_of_validity(self) -> bool:
+        """Whether the run was stopped by what the model is not made for, and not by the numerics."""
+        return int(self.stepper.status[None]) in (SLACK, CLOSED)
+
+    @property
     def wall_mm(self) -> tuple[np.ndarray, np.ndarray]:
         """Times [ms] of the frames reached and the wall's places (r, z) there [mm], [frames, nodes, 2]."""
         count = min(self.reached // self.samples_per_frame + 1, len(self._frames))
@@ -147,7 +153,7 @@ class Reduced:
         return self.arrays()
 
     def _advance(self) -> None:
-        far = REFRESH_TRAVEL * self.spacing
+        far = self.scene.numerics.refresh_travel * self.spacing
         while self.reached < self.samples and self.stepper.status[None] == RUNNING:
             if self.flowing:
                 self._refresh()
@@ -209,6 +215,19 @@ class Reduced:
         size = np.linalg.norm(area, axis=1)
         flow.show(flow.flow @ flux, rate, float((size * wall[:, 6]).sum() / size.sum()), self.scene.aqueous.density_kg_m3)
         return fields.place, fields.velocity, fields.pressure, self.cloud.count
+
+    def facts(self) -> dict:
+        """What a summary tells about the discretisation and the work done."""
+        facts = {"elements": self.wall_count - 1, "steps": self.steps, "flow_maps": self.refreshes}
+        return facts if self.cloud is None else {**facts, "cloud": asdict(measure(self.cloud))}
+
+    def about(self) -> str:
+        """The model of the liquid in a line."""
+        return {"membrane": "the IOP, whatever the volume",
+                "cavity": "a uniform pressure that holds the volume",
+                "layer": "potential flow of a thin layer",
+                "added_mass": "potential flow, its map made anew every "
+                              f"{self.scene.numerics.refresh_travel:g} spacings of travel"}[self.model]
 
     def _check(self) -> None:
         status = int(self.stepper.status[None])

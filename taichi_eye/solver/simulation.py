@@ -2,9 +2,10 @@
 
 Time is cut into film frames, frames into samples of at most `SAMPLE_MS`, samples into equal steps below the stable
 limit of the moment. At each sample the traces grow by a row, the guards look, and the operator weights are rebuilt once
-the wall has moved by `REBUILD_TRAVEL` spacings since they were last.
+the wall has moved by `numerics.refresh_travel` spacings since they were last.
 """
 import math
+from dataclasses import asdict
 from typing import Callable
 
 import numpy as np
@@ -21,7 +22,6 @@ from taichi_eye.solver.workspace import borrow
 from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
 
 SAMPLE_MS = 0.025  # longest time between two rows of the traces
-REBUILD_TRAVEL = 0.05  # wall travel, in spacings, after which operator weights are rebuilt
 
 
 def cloud_of(scene) -> Cloud:
@@ -85,6 +85,31 @@ class Simulation:
     def time_ms(self) -> float:
         """Simulated time of the last sample."""
         return self.sample * self.sample_ms
+
+    @property
+    def wall_count(self) -> int:
+        """Nodes of the cornea."""
+        return self.cloud.wall_count
+
+    def liquid(self):
+        """Fields of the liquid now: place, velocity, excess pressure, and how many nodes they hold."""
+        return self.aqueous.place, self.aqueous.velocity, self.aqueous.pressure, self.cloud.count
+
+    def facts(self) -> dict:
+        """What a summary tells about the discretisation and the work done."""
+        condition = float(self.aqueous.operators.condition.to_numpy()[:self.cloud.count].max())
+        sweeps = np.array(self.traces["coupling_iterations"])
+        return {
+            "coupling_iterations": {"mean": float(sweeps[1:].mean()) if len(sweeps) > 1 else 0.0, "most": int(sweeps.max())},
+            "cloud": {**asdict(self.quality), "wall_nodes": self.wall_count, "worst_stencil_condition": condition},
+            "steps": self.steps, "step_limit": self.step_limit, "operator_rebuilds": self.rebuilds}
+
+    def about(self) -> str:
+        """The model of the liquid in a line."""
+        quality, numerics = self.quality, self.scene.numerics
+        return (f"{quality.nodes} nodes at {numerics.spacing_mm:g} mm ({numerics.basis}), smallest gap "
+                f"{quality.smallest_gap:.2f} and largest hole {quality.largest_hole:.2f} spacings, "
+                f"c {numerics.sound_speed_m_s:g} m/s")
 
     def run(self, on_frame: Callable[["Simulation", int], None] | None = None,
             on_sample: Callable[["Simulation"], None] | None = None) -> dict[str, np.ndarray]:
@@ -150,7 +175,7 @@ class Simulation:
                      figures["numerical_loss"])
         for name, value in row.items():
             self.traces.setdefault(name, []).append(value)
-        if figures["wall_travel"] > REBUILD_TRAVEL * self.cloud.spacing:
+        if figures["wall_travel"] > self.scene.numerics.refresh_travel * self.cloud.spacing:
             self.aqueous.rebuild()
             self.survey.remember_build()
             self.rebuilds += 1

@@ -1,0 +1,237 @@
+"""`numerics.fidelity = "auto"`: the cheapest rung and settings that keep a scene within its tolerance.
+
+The estimates are computed for the scene at hand, cheapest first, and the climb ends at the first rung that they let pass;
+where a pilot is already the run that was asked for, it is the run. All in percent of the quantities of
+`taichi_eye.ladder.misfit`, each pair of pilots differing in one thing:
+
+    space       cavity with 16 elements against 8: a third of their difference is the error of the 16, and goes as h^2. All
+                rungs carry the membrane's error, which dominates. Once inertia counts, thin-layer runs take their place.
+    inertia     thin-layer flow (`taichi_eye.solver.potential`) against cavity, both with 8 elements.
+    IOP         of `membrane` in a sealed chamber: the pressure's rise over the puff's.
+    flow map    of `added_mass`: thin layer refreshed at 0.5 spacings against 0.25; goes with the travel.
+    viscosity   of every rung but `mfpm`: what the flow of the thin layer would lose to viscosity, over the puff's work.
+    sound speed of `mfpm`: cavity that yields as the liquid does at c = 40 m/s against one that does not; goes as c^-2.
+
+`MARGIN` is kept free for what is not estimated. A rung whose pilot leaves its validity (a slack cornea, a cornea at the back
+of the chamber) is refused with its reason; the last rung is never refused: it stops by itself. A thin layer of 8 elements
+that blows up only says that inertia counts.
+"""
+import math
+import time
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from taichi_eye.errors import RunStopped
+from taichi_eye.ladder.misfit import misfit
+from taichi_eye.ladder.rungs import with_numerics
+from taichi_eye.scene import Scene
+from taichi_eye.solver.reduced import Reduced
+from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
+
+ELEMENTS = 16  # of the coarsest cornea offered; its pilots have half as many
+MARGIN = 0.15  # share of the tolerance that the estimates leave free
+COARSEST_MM, FINEST_MM = 0.4, 0.05  # spacings offered where nodes are packed, and the finest at all
+PILOT_C = 40.0  # m/s
+SPEEDS = (20.0, 30.0, 40.0, 60.0, 80.0, 120.0, 160.0)  # m/s, of mfpm
+
+
+@dataclass
+class Choice:
+    """What was chosen and why.
+
+    scene: with fidelity, spacing, sound speed and refresh travel set; reason: one line; estimates: errors in percent by
+    rung and source; refused: why a rung is no model of the scene; simulation: the run itself where a pilot was already
+    it, else None; seconds: spent on pilots.
+    """
+
+    scene: Scene
+    reason: str = ""
+    estimates: dict = field(default_factory=dict)
+    refused: dict = field(default_factory=dict)
+    simulation: Reduced | None = None
+    seconds: float = 0.0
+
+    def as_dict(self) -> dict:
+        """For the summary."""
+        numerics = self.scene.numerics
+        return {"fidelity": numerics.fidelity, "spacing_mm": numerics.spacing_mm, "reason": self.reason,
+                "sound_speed_m_s": numerics.sound_speed_m_s if numerics.fidelity == "mfpm" else None,
+                "estimates_percent": self.estimates, "refused": self.refused, "pilots_s": round(self.seconds, 4)}
+
+
+class _Refused(Exception):
+    """A pilot left its validity, or was too coarse for its scene."""
+
+
+def choose(scene: Scene) -> Choice:
+    """The cheapest rung and settings for a resolved scene, whatever its own fidelity, spacing and sound speed."""
+    started = time.perf_counter()
+    choice = _Climb(scene).climb()
+    choice.seconds = time.perf_counter() - started
+    return choice
+
+
+class _Climb:
+    """One scene's pilots and the way up."""
+
+    def __init__(self, scene):
+        self.scene, self.numerics = scene, scene.numerics
+        self.allowed = (1.0 - MARGIN) * self.numerics.tolerance_percent
+        cornea = scene.cornea
+        self.length_mm = cornea.radius_mm * math.asin(cornea.limbus_radius_mm / cornea.radius_mm)
+        self.choice = Choice(scene)
+
+    def climb(self) -> Choice:
+        for rung in (self._uniform, self._added_mass):
+            try:
+                if rung():
+                    return self.choice
+            except _Refused:
+                pass
+        self._mfpm()
+        return self.choice
+
+    def _pilot(self, model, elements, scene=None, **numerics) -> Reduced:
+        """A finished run of a reduced model; _Refused where it leaves its validity."""
+        spacing = self.length_mm / elements
+        named = "added_mass" if model == "layer" else model
+        simulation = Reduced(with_numerics(scene or self.scene, fidelity=named, spacing_mm=spacing, **numerics), model)
+        try:
+            simulation.run()
+        except RunStopped as stop:
+            if simulation.out_of_validity:
+                self.choice.refused[named] = str(stop)
+            raise _Refused from None
+        return simulation
+
+    def _apart(self, one: Reduced, other: Reduced) -> float:
+        return misfit(one.traces, other.traces).of(self.numerics.tolerance_on)
+
+    def _take(self, rung, spacing_mm, reason, simulation=None, **numerics) -> bool:
+        self.choice.scene = with_numerics(self.scene, fidelity=rung, spacing_mm=spacing_mm, **numerics)
+        self.choice.reason, self.choice.simulation = f"{rung} at {spacing_mm:.3g} mm: {reason}", simulation
+        return True
+
+    def _finest(self, space, size_mm, left) -> float:
+        """The spacing [mm] at which the space error, `space` at `size_mm`, is `left`."""
+        return size_mm * math.sqrt(left / max(space, 1e-12)) if left > 0.0 else 0.0
+
+    def _uniform(self) -> bool:
+        """membrane and cavity: no flow."""
+        tolerance, sealed = self.numerics.tolerance_percent, self.scene.chamber.sealed
+        half = self._pilot("cavity", ELEMENTS // 2)
+        thin = self._pilot("layer", ELEMENTS // 2)
+        self.inertia, self.viscous = self._apart(half, thin), viscous_share(thin)
+        if self.inertia + self.viscous > self.allowed:
+            self.choice.estimates["cavity"] = {"inertia": self.inertia, "viscosity": self.viscous}
+            return False
+        full = self._pilot("cavity", ELEMENTS)
+        space, size = self._apart(full, half) / 3.0, self.length_mm / ELEMENTS
+        errors = {"inertia": self.inertia, "viscosity": self.viscous, "space": space}
+        pressure = full.traces["fluid_pressure_apex_kpa"]
+        rise = 100.0 * float(np.abs(pressure - pressure[0]).max()) / max(float(full.puff.peak) * 1e-3, 1e-9)
+        rung = "cavity" if sealed and rise + sum(errors.values()) > self.allowed else "membrane"
+        if sealed:
+            self.choice.estimates["membrane"] = {"IOP": rise}
+        spacing = min(self._finest(space, size, self.allowed - self.inertia - self.viscous), size)
+        self.choice.estimates[rung] = {**errors, "space": space * (spacing / size) ** 2}
+        if spacing < FINEST_MM:
+            return False
+        ready = full if spacing == size and rung == "cavity" else None
+        return self._take(rung, spacing, f"inertia {self.inertia:.2g} % and space "
+                          f"{self.choice.estimates[rung]['space']:.2g} % stay within {tolerance:g} %", ready)
+
+    def _added_mass(self) -> bool:
+        tolerance = self.numerics.tolerance_percent
+        fine, coarse = self._pilot("layer", 2 * ELEMENTS), self._pilot("layer", ELEMENTS)
+        often = self._pilot("layer", ELEMENTS, refresh_travel=0.25)
+        size = self.length_mm / ELEMENTS
+        self.space, self.size = self._apart(fine, coarse) / 3.0, 0.5 * size
+        lag = self._apart(coarse, often) / 0.25  # per spacing of travel at `size`
+        self.viscous = viscous_share(fine)
+        left = self.allowed - self.viscous
+        spacing = min(self._finest(self.space, self.size, 0.75 * left), COARSEST_MM, self._roomiest())
+        travel = min(0.5, float(0.25 * left / max(lag * spacing / size, 1e-12))) if left > 0.0 else 0.0
+        self.choice.estimates["added_mass"] = {
+            "space": self.space * (spacing / self.size) ** 2, "flow map": lag * travel * spacing / size,
+            "viscosity": self.viscous}
+        if left <= 0.0 or spacing < FINEST_MM or travel < 0.02:
+            return False
+        return self._take("added_mass", spacing, f"{self._why_not_cavity()}; space "
+                          f"{self.choice.estimates['added_mass']['space']:.2g} % stays within {tolerance:g} %",
+                          refresh_travel=travel)
+
+    def _mfpm(self) -> None:
+        tolerance = self.numerics.tolerance_percent
+        space, size = getattr(self, "space", 1.0), getattr(self, "size", 0.25)
+        try:
+            stiff = self._pilot("cavity", ELEMENTS // 2)
+            volume = stiff.section.volume()
+            give = volume / (self.scene.aqueous.density_kg_m3 * PILOT_C**2) / MM3 * MMHG
+            chamber = replace(self.scene.chamber,
+                              compliance_mm3_mmhg=self.scene.chamber.compliance_mm3_mmhg + give)
+            soft = self._apart(self._pilot("cavity", ELEMENTS // 2, replace(self.scene, chamber=chamber)), stiff)
+        except _Refused:
+            soft = 1.0  # what the default eye has
+        best = None
+        for c in SPEEDS:
+            by_sound = soft * (PILOT_C / c) ** 2 if self.scene.chamber.sealed else 0.0
+            spacing = min(self._finest(space, size, self.allowed - by_sound), COARSEST_MM, self._roomiest())
+            if spacing >= FINEST_MM and (best is None or c / spacing**3 < best[0]):
+                best = c / spacing**3, c, spacing, by_sound
+        if best is None:
+            best = 0.0, SPEEDS[-1], FINEST_MM, soft * (PILOT_C / SPEEDS[-1]) ** 2
+        _, c, spacing, by_sound = best
+        error = space * (spacing / size) ** 2
+        self.choice.estimates["mfpm"] = {"space": error, "sound speed": by_sound}
+        self._take("mfpm", spacing, f"{self._why_not_cavity()}; space {error:.2g} % and c = {c:g} m/s "
+                   f"{by_sound:.2g} %" + ("" if error + by_sound <= tolerance else f" are more than {tolerance:g} %, but "
+                                          "no setting offered does better"), sound_speed_m_s=c)
+
+    def _roomiest(self) -> float:
+        """The coarsest spacing [mm] that the chamber's depth on the axis holds four of."""
+        return (self.scene.chamber.depth_mm - self.scene.chamber.lens_height_mm) / 4.0
+
+    def _why_not_cavity(self) -> str:
+        estimates, refused = self.choice.estimates, self.choice.refused
+        said = []
+        for rung in ("cavity", "added_mass"):
+            if rung in refused:
+                said.append(f"{rung} refused ({refused[rung]})")
+            elif rung in estimates:
+                source, worst = max(estimates[rung].items(), key=lambda item: item[1])
+                if sum(estimates[rung].values()) > self.allowed:
+                    said.append(f"{rung} would be {sum(estimates[rung].values()):.2g} % off by {source}")
+        return ", ".join(said) or "cavity leaves out inertia that counts"
+
+
+def viscous_share(run: Reduced) -> float:
+    """What the flow under a finished run's wall loses to viscosity, in percent of the puff's work.
+
+    The liquid moves radially at U(r, t), one speed over the depth, as continuity asks. Under slip walls its strain rates
+    lose 2 mu (U_r^2 + U^2/r^2 + (U_r + U/r)^2) per volume; at a no-slip wall a Stokes layer (nu t)^1/2 thick, t the time in
+    which the flow changes, but no thicker than a sixth of the depth, loses mu U^2 over its thickness.
+    """
+    scene = run.scene
+    viscosity, density = scene.aqueous.viscosity_mpa_s * MPA_S, scene.aqueous.density_kg_m3
+    place, velocity = run._frames[:, :, :2], run._frames[:, :, 2:4]
+    edge, middle = np.diff(place, axis=1), 0.5 * (place[:, 1:] + place[:, :-1])
+    rise = 0.5 * (velocity[:, 1:] + velocity[:, :-1])
+    swept = np.cumsum(2.0 * np.pi * middle[..., 0] * (rise[..., 1] * edge[..., 0] - rise[..., 0] * edge[..., 1]), axis=1)
+    r = place[:, 1:, 0]
+    depth = np.maximum(place[:, 1:, 1] - run.section.back_height(r), 0.02 * MM)
+    # the rim, where depth and flow vanish together, is left out
+    r, depth, speed = r[:, :-1], depth[:, :-1], (-swept / (2.0 * np.pi * r * depth))[:, :-1]
+    slope = np.gradient(speed, axis=1) / np.maximum(np.gradient(r, axis=1), 1e-6)
+    hoop = speed / r
+    loss = 2.0 * viscosity * (slope**2 + hoop**2 + (slope + hoop) ** 2) * depth
+    if scene.numerics.wall_condition == "no_slip" and viscosity > 0.0:
+        frame = scene.camera.frame_interval_ms * MS
+        change = np.gradient(speed, frame, axis=0)
+        period = np.sqrt((speed**2).sum() / max((change**2).sum(), 1e-30))
+        layer = np.minimum(np.sqrt(viscosity / density * period), depth / 6.0)
+        loss = loss + 2.0 * viscosity * speed**2 / layer
+    lost = (loss * 2.0 * np.pi * r * np.gradient(r, axis=1)).sum() * scene.camera.frame_interval_ms * MS
+    work = float(np.abs(run.traces["puff_work_uj"]).max()) * 1e-6
+    return 100.0 * float(lost) / work if work > 0.0 else 0.0
