@@ -9,6 +9,10 @@ import os
 
 import taichi as ti
 
+from taichi_eye import frontend
+
+frontend.shorten()
+
 ARCHES = ("cpu", "cuda", "vulkan", "opengl", "metal")
 PRECISIONS = ("f64", "f32")
 

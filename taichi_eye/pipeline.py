@@ -22,7 +22,6 @@ from taichi_eye.ladder.rungs import needs_cloud, simulation_of
 from taichi_eye.report.compare import Measured, differences, read_measured
 from taichi_eye.report.folder import create_run_folder, refuse_taken, write_text
 from taichi_eye.report.history import summarise
-from taichi_eye.report.plots import plot_apex, plot_sheet, sheet_times
 from taichi_eye.report.traces import write_traces, write_wall
 from taichi_eye.scene import Scene, dump_scene
 from taichi_eye.solver.simulation import cloud_of
@@ -160,6 +159,8 @@ class _Recorder:
         traces = simulation.arrays()
         if not traces:
             return RunResult(self.folder, {}, {})
+        # matplotlib's figures are slow to load: not before the film is done
+        from taichi_eye.report.plots import plot_apex, plot_sheet, sheet_times
         before = time.perf_counter()
         write_traces(self.folder / "traces.csv", traces)
         if self.walls:

@@ -17,12 +17,13 @@ import taichi as ti
 from tqdm import tqdm
 
 from taichi_eye import backend
-from taichi_eye.bench import gpu, packing
+from taichi_eye.bench import gpu, packing, startup
 from taichi_eye.bench.rows import Row
 from taichi_eye.report.folder import create_run_folder, write_text
 from taichi_eye.report.page import picture, plain, table, write_page
 
 PARTS = {
+    "startup": startup.measure,
     "packing": packing.measure,
     "gpu": gpu.measure,
 }

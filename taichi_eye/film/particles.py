@@ -107,9 +107,7 @@ class Particles:
         self.base = ti.Vector.field(3, ti.u8, (self.height, self.width))
         self.wall = ti.field(ti.u8, (self.height, self.width))
         self.colours = ti.Vector.field(3, real(), 256)
-        self.colours.from_numpy(colour_table(scene))
-        self.base.from_numpy(background(scene, at, self.limits, self.ranges))
-        self.wall.from_numpy(wall_cover(scene, at))
+        self._load(colour_table(scene), background(scene, at, self.limits, self.ranges), wall_cover(scene, at))
         self.big = GlyphAtlas(max(8, round(21 * at.unit)))
         self.small = GlyphAtlas(max(7, round(13 * at.unit)), bold=True)
         self.stamped = stamped
@@ -167,6 +165,14 @@ class Particles:
             load = self.small.mask(f"{puff_kpa:.2f} kPa")
             stamp(image, apex, row, self.left, TRACE)
             stamp(image, load, row, self.right - load.shape[1], JET)
+
+    @ti.kernel
+    def _load(self, colours: ti.types.ndarray(), base: ti.types.ndarray(), wall: ti.types.ndarray()):
+        for k in range(256):
+            self.colours[k] = ti.Vector([colours[k, 0], colours[k, 1], colours[k, 2]])
+        for i, j in ti.ndrange(self.height, self.width):
+            self.base[i, j] = ti.Vector([base[i, j, 0], base[i, j, 1], base[i, j, 2]])
+            self.wall[i, j] = wall[i, j]
 
     @ti.kernel
     def _find(self, nodes: ti.template(), node_count: ti.i32):

@@ -80,10 +80,7 @@ class Scheimpflug:
         self.column = ti.Vector.field(5, real(), self.width)
         self.scenery = ti.Vector.field(2, real(), objects.shape[:2])
         self.quantile = ti.field(real(), len(gaussian_table()))
-        self.edge.from_numpy(edge)
-        self.posterior.from_numpy(posterior)
-        self.scenery.from_numpy(objects)
-        self.quantile.from_numpy(gaussian_table())
+        self._load(edge, posterior, objects, gaussian_table())
 
     def render(self, state: FrameState, fresh: bool = True) -> np.ndarray:
         """The frame at `state`; `fresh` says that the surface tables have yet to be updated for it."""
@@ -100,6 +97,16 @@ class Scheimpflug:
             mask = self.atlas.mask(f"{state.time_ms:.2f} ms")
             stamp(image, mask, self.height - mask.shape[0] - 3, self.width - mask.shape[1] - 6, STAMP_LEVEL)
         return image
+
+    @ti.kernel
+    def _load(self, edge: ti.types.ndarray(), posterior: ti.types.ndarray(), objects: ti.types.ndarray(),
+              quantile: ti.types.ndarray()):
+        for k in range(edge.shape[0]):
+            self.edge[k], self.posterior[k] = ti.Vector([edge[k, 0], edge[k, 1]]), posterior[k]
+        for i, k in ti.ndrange(objects.shape[0], objects.shape[1]):
+            self.scenery[i, k] = ti.Vector([objects[i, k, 0], objects[i, k, 1]])
+        for k in range(quantile.shape[0]):
+            self.quantile[k] = quantile[k]
 
     def _speck_column(self, frame: int) -> float:
         """Column of this frame's speck; far outside where it has none."""

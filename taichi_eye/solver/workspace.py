@@ -13,7 +13,7 @@ from taichi_eye.solver.coupling import Coupling
 from taichi_eye.solver.motion import Motion
 from taichi_eye.solver.survey import Survey
 
-SMALLEST = 256  # nodes
+SMALLEST = 2048  # nodes: scenes below share one set of kernels, in this process and in the offline cache
 
 _free: dict[tuple, list] = {}
 
