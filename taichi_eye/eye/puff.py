@@ -19,8 +19,9 @@ gaussian  exp(-r^2/w^2).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -75,3 +76,29 @@ class Puff:
     def radial(self, r: ArrayLike) -> np.ndarray:
         """Share of the apex pressure, without unit, on material points of reference radius r [m]; any shape."""
         return np.exp(-self.radial_rate * np.square(np.asarray(r, dtype=float)))
+
+
+class Puffs:
+    """The puffs of several eyes, evaluated together: those of one time course in one go."""
+
+    def __init__(self, puffs: Sequence[Puff]):
+        courses: dict[object, list[int]] = {}
+        for eye, puff in enumerate(puffs):
+            courses.setdefault(puff.time_course if puff.samples is None else eye, []).append(eye)
+        self._groups = []
+        for eyes in courses.values():
+            if puffs[eyes[0]].samples is not None:
+                self._groups.append((eyes, puffs[eyes[0]]))
+                continue
+            column = lambda name, eyes=eyes: np.array([[getattr(puffs[eye], name)] for eye in eyes])
+            self._groups.append((eyes, replace(puffs[eyes[0]], **{name: column(name) for name in
+                                                                  ("peak", "duration", "spread_b", "radial_rate")})))
+
+    def pressure_at_apex(self, t: np.ndarray) -> np.ndarray:
+        """Pressure [Pa] over atmosphere at the apex of each eye at its times t [eyes, times] (s)."""
+        if len(self._groups) == 1:
+            return self._groups[0][1].pressure_at_apex(t)
+        pressure = np.empty_like(t)
+        for eyes, puff in self._groups:
+            pressure[eyes] = puff.pressure_at_apex(t[eyes])
+        return pressure

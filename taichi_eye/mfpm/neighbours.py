@@ -3,6 +3,9 @@
 Nodes are binned into square cells as wide as the search radius by a counting sort whose scatter is serial, so that the
 lists come out the same on any number of threads. A node near the axis also sees the images (-r, z) of the nodes there:
 an entry >= 0 is node j itself, an entry -1 - j is its image (see `image_of`).
+
+Several eyes stand one after the other in the same fields: eye e owns the nodes first[e] to first[e] + count[e] - 1 and
+none sees another's. Every index of a node counts over all eyes.
 """
 import numpy as np
 import taichi as ti
@@ -36,13 +39,14 @@ def place_of(points: ti.template(), entry: ti.i32):
 class NeighbourLists:
     """For each node the entries within a search radius, nearest first.
 
-    capacity: nodes; width: entries kept per node (the nearest ones); planar: no axis, so no images. After `search`:
-    found[i] entries in entry[i, :].
+    capacity: nodes of all eyes; width: entries kept per node (the nearest ones); planar: no axis, so no images. After
+    `search`: found[i] entries in entry[i, :]; eye_of[i]; total[None] nodes in all.
     """
 
-    def __init__(self, capacity: int, width: int, planar: bool = False):
+    def __init__(self, capacity: int, width: int, planar: bool = False, eyes: int = 1):
         self.capacity, self.width, self.planar = capacity, width, planar
-        self.count = ti.field(ti.i32, ())
+        self.first, self.count = ti.field(ti.i32, eyes), ti.field(ti.i32, eyes)
+        self.total, self.eye_of = ti.field(ti.i32, ()), ti.field(ti.i32, capacity)
         self.entry = ti.field(ti.i32, (capacity, width))
         self.distance2 = ti.field(real(), (capacity, width))
         self.found = ti.field(ti.i32, capacity)
@@ -50,38 +54,57 @@ class NeighbourLists:
         self.sorted = ti.field(ti.i32, capacity)
         self.cell_start = ti.field(ti.i32, capacity + 2)
 
-    def search(self, points, count: int, radius: float) -> None:
-        """Fill the lists from `points` (vector field, m, r >= 0) with everything within `radius` [m]."""
-        place = points.to_numpy()[:count]
-        low = place.min(0)
-        extent = place.max(0) - low
+    def search(self, points, count: int, radius: float, eye: int = 0, first: int = 0) -> None:
+        """Fill the lists from `points` (vector field, m, r >= 0) with everything within `radius` [m].
+
+        For the `count` nodes of one eye from `first` on; eyes are searched in their order.
+        """
+        box = np.empty(4)
+        self._enclose(points, first, count, box)
+        low, extent = box[:2], box[2:] - box[:2]
         size = radius
         # a sparse domain must not need more cells than there is room for
         while np.prod(np.floor(extent / size) + 1) > self.capacity:
             size *= 1.5
         columns, rows = (np.floor(extent / size) + 1).astype(int)
-        self._bin(points, count, low[0], low[1], size, columns, rows)
-        self._collect(points, radius, columns, rows)
+        self._bin(points, eye, first, count, low[0], low[1], size, columns, rows)
+        self._collect(points, eye, radius, columns, rows)
+
+    def everyone(self):
+        """A mask of eyes [eyes] that leaves out none."""
+        return np.ones(self.first.shape, dtype=np.int32)
 
     @ti.kernel
-    def _bin(self, points: ti.template(), count: int, r0: float, z0: float, size: float, columns: int, rows: int):
-        self.count[None] = count
+    def _enclose(self, points: ti.template(), first: int, count: int, box: ti.types.ndarray()):
+        ti.loop_config(serialize=True)
+        for once in range(1):
+            low, high = points[first], points[first]
+            for i in range(first, first + count):
+                low, high = ti.min(low, points[i]), ti.max(high, points[i])
+            for a in ti.static(range(2)):
+                box[a], box[2 + a] = low[a], high[a]
+
+    @ti.kernel
+    def _bin(self, points: ti.template(), eye: int, first: int, count: int, r0: float, z0: float, size: float,
+             columns: int, rows: int):
+        self.first[eye], self.count[eye], self.total[None] = first, count, first + count
         for c in range(columns * rows + 1):
             self.cell_start[c] = 0
-        for i in range(self.count[None]):
+        for i in range(first, first + count):
+            self.eye_of[i] = eye
             column = ti.min(ti.cast((points[i][0] - r0) / size, ti.i32), columns - 1)
             row = ti.min(ti.cast((points[i][1] - z0) / size, ti.i32), rows - 1)
             self.cell_of[i] = row * columns + column
         ti.loop_config(serialize=True)
-        for i in range(self.count[None]):
+        for i in range(first, first + count):
             self.cell_start[self.cell_of[i] + 1] += 1
         ti.loop_config(serialize=True)
         for c in range(columns * rows):
             self.cell_start[c + 1] += self.cell_start[c]
         ti.loop_config(serialize=True)
-        for k in range(self.count[None]):
+        for k in range(count):
             # backwards, so that each cell_start ends where it belongs
-            i = self.count[None] - 1 - k
+            i = first + count - 1 - k
             cell = self.cell_of[i]
             self.cell_start[cell + 1] -= 1
             self.sorted[self.cell_start[cell + 1]] = i
@@ -89,11 +112,11 @@ class NeighbourLists:
         for c in range(columns * rows):
             # cell_start[c + 1] now holds the start of cell c: shift back
             self.cell_start[c] = self.cell_start[c + 1]
-        self.cell_start[columns * rows] = self.count[None]
+        self.cell_start[columns * rows] = count
 
     @ti.kernel
-    def _collect(self, points: ti.template(), radius: float, columns: int, rows: int):
-        for i in range(self.count[None]):
+    def _collect(self, points: ti.template(), eye: int, radius: float, columns: int, rows: int):
+        for i in range(self.first[eye], self.first[eye] + self.count[eye]):
             self.found[i] = 0
             column = self.cell_of[i] % columns
             row = self.cell_of[i] // columns

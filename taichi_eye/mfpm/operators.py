@@ -65,10 +65,13 @@ class MfpmOperators:
         self.scale = ti.field(fp, (neighbours.capacity, self.terms))
         self.basis_value = ti.field(fp, (neighbours.capacity, self.terms))
 
-    @ti.kernel
-    def choose_stencils(self, points: ti.template(), wanted: int, limit: float):
+    def choose_stencils(self, points, wanted: int, limit: float, eye: int = 0) -> None:
         """Take `wanted` nearest entries per node (ties included), more where the moment matrix is worse than `limit`."""
-        for i in range(self.neighbours.count[None]):
+        self._choose_stencils(points, wanted, limit, eye)
+
+    @ti.kernel
+    def _choose_stencils(self, points: ti.template(), wanted: int, limit: float, eye: int):
+        for i in range(self.neighbours.first[eye], self.neighbours.first[eye] + self.neighbours.count[eye]):
             self.size[i] = 0
             least = wanted
             growing = True
@@ -78,12 +81,16 @@ class MfpmOperators:
                 least = self.size[i] + 1
                 growing = self.condition[i] > limit and self.size[i] < self.neighbours.found[i]
 
+    def rebuild(self, points, due=None) -> None:
+        """Compute all weights for the nodes at `points`; the stencils stay. due [eyes]: 1 for the eyes it is done for."""
+        self._rebuild(points, self.neighbours.everyone() if due is None else due)
+
     @ti.kernel
-    def rebuild(self, points: ti.template()):
-        """Compute all weights for the nodes at `points`; the stencils stay."""
-        for i in range(self.neighbours.count[None]):
-            self._invert_moments(i, points)
-            self._weights(i, points)
+    def _rebuild(self, points: ti.template(), due: ti.types.ndarray()):
+        for i in range(self.neighbours.total[None]):
+            if due[self.neighbours.eye_of[i]] == 1:
+                self._invert_moments(i, points)
+                self._weights(i, points)
 
     @ti.func
     def _radius(self, i, points):
@@ -254,23 +261,23 @@ class MfpmOperators:
     @ti.kernel
     def gradient(self, f: ti.template(), out: ti.template()):
         """out[i] = gradient of the even scalar field f at every node."""
-        for i in range(self.neighbours.count[None]):
+        for i in range(self.neighbours.total[None]):
             out[i] = self.gradient_at(i, f)
 
     @ti.kernel
     def laplacian(self, f: ti.template(), out: ti.template()):
         """out[i] = axisymmetric Laplacian of the even scalar field f at every node."""
-        for i in range(self.neighbours.count[None]):
+        for i in range(self.neighbours.total[None]):
             out[i] = self.laplacian_at(i, f)
 
     @ti.kernel
     def divergence(self, points: ti.template(), u: ti.template(), out: ti.template()):
         """out[i] = axisymmetric divergence of the velocity field u at every node."""
-        for i in range(self.neighbours.count[None]):
+        for i in range(self.neighbours.total[None]):
             out[i] = self.divergence_from(i, points, u, self.velocity_gradient_at(i, u))
 
     @ti.kernel
     def velocity_laplacian(self, points: ti.template(), u: ti.template(), out: ti.template()):
         """out[i] = vector Laplacian of the velocity field u at every node."""
-        for i in range(self.neighbours.count[None]):
+        for i in range(self.neighbours.total[None]):
             out[i] = self.velocity_laplacian_at(i, points, u)

@@ -86,7 +86,7 @@ class Flow:
             for i in range(self.own[None]):
                 self.aqueous.find_velocity_gradient(i)
                 self.aqueous.potential[i] = (self.aqueous.pressure[i]
-                                             - self.aqueous.viscosity[None] / 3.0 * self.aqueous.divergence[i])
+                                             - self.aqueous.viscosity[0] / 3.0 * self.aqueous.divergence[i])
             for g in range(self.copied[None]):
                 self._copy_velocity_gradient(g)
                 self._copy_pressure(g)
@@ -95,7 +95,7 @@ class Flow:
     @ti.func
     def _settle(self):
         if self.sealed[None] == 1:
-            self.aqueous.pressure_shift[None] = self.aqueous.missing_pressure(self.aqueous.rest_volume[None])
+            self.aqueous.pressure_shift[0] = self.aqueous.missing_pressure(0, self.aqueous.rest_volume[0])
 
     @ti.func
     def _copy_velocity(self, g):
@@ -125,13 +125,13 @@ class Flow:
         for g in range(self.copied[None]):
             self._copy_gradient(g)
         for i in range(self.own[None]):
-            self.aqueous.kick(i, dt, self.still)
+            self.aqueous.kick(0, i, dt, self.still)
         for i in range(self.own[None]):
             self.aqueous.velocity[i] = self.aqueous.candidate[i]
             if self.aqueous.kind[i] == WALL:
                 self.aqueous.velocity[i] = self.prescribed[i]
             if force != 0.0 and (self.aqueous.kind[i] == FREE or self.aqueous.slide[i][1] == 1.0):
-                self.aqueous.velocity[i][1] += dt * force / self.aqueous.density(i)
+                self.aqueous.velocity[i][1] += dt * force / self.aqueous.density(0, i)
         for g in range(self.copied[None]):
             self._copy_velocity(g)
         for i in range(self.own[None]):
@@ -139,7 +139,7 @@ class Flow:
         for g in range(self.copied[None]):
             self._copy_velocity_gradient(g)
         for i in range(self.own[None]):
-            self.aqueous.compress(i, dt, self.still)
+            self.aqueous.compress(0, i, dt, self.still)
         for g in range(self.copied[None]):
             self._copy_pressure(g)
         self._settle()

@@ -27,11 +27,11 @@ class Membrane:
     def _evaluate(self):
         ti.loop_config(serialize=True)
         for k in range(self.count - 1):
-            self.cornea.stretch_element(k)
+            self.cornea.stretch_element(0, k)
         ti.loop_config(serialize=True)
         for i in range(self.count):
-            self.force[i] = self.cornea.elastic_force(i)
-            self.area[i] = self.cornea.volume_gradient(i)
+            self.force[i] = self.cornea.elastic_force(0, i)
+            self.area[i] = self.cornea.volume_gradient(0, i)
 
     def forces(self, place):
         """Tissue forces [n, 2] (N) and area vectors [n, 2] (m^2) with the nodes at `place` [n, 2] (m)."""

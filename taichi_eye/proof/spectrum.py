@@ -58,11 +58,11 @@ class CoupledSystem:
     def _remember(self):
         ti.loop_config(serialize=True)
         for once in range(1):
-            self.coupling.rest_enclosed[None] = self.cornea.enclosed_volume()
+            self.coupling.rest_enclosed[0] = self.cornea.enclosed_volume(0)
 
     @ti.kernel
     def _load(self, state: ti.types.ndarray()):
-        n, w = self.aqueous.count[None], self.aqueous.wall_count[None]
+        n, w = self.aqueous.count[0], self.aqueous.wall_count[0]
         ti.loop_config(serialize=True)
         for once in range(1):
             for i in range(n):
@@ -78,12 +78,12 @@ class CoupledSystem:
             for i in range(n):
                 self.aqueous.find_velocity_gradient(i)
                 self.aqueous.potential[i] = (self.aqueous.pressure[i]
-                                             - self.aqueous.viscosity[None] / 3.0 * self.aqueous.divergence[i])
-            self.coupling._settle_pressure()
+                                             - self.aqueous.viscosity[0] / 3.0 * self.aqueous.divergence[i])
+            self.coupling._settle_pressure(0)
 
     @ti.kernel
     def _store(self, state: ti.types.ndarray()):
-        n, w = self.aqueous.count[None], self.aqueous.wall_count[None]
+        n, w = self.aqueous.count[0], self.aqueous.wall_count[0]
         ti.loop_config(serialize=True)
         for once in range(1):
             for i in range(n):
@@ -112,7 +112,7 @@ class CoupledSystem:
         self._load(state)
         self.coupling.setup(self.iterated, False, 1.0, 1e-10, self.sweeps_max)
         self.coupling.advance(np.zeros(steps), dt, dt)
-        if self.coupling.status[None] == NOT_CONVERGED:
+        if self.coupling.status[0] == NOT_CONVERGED:
             return None
         after = np.empty_like(state)
         self._store(after)
@@ -126,7 +126,7 @@ class CoupledSystem:
         self._load(state)
         self.coupling.setup(True, False, 1.0, tolerance, sweeps)
         self.coupling.advance(np.zeros(1), dt, dt)
-        return self.coupling.sweeps[None], self.coupling.worst_residual[None]
+        return self.coupling.sweeps[0], self.coupling.worst_residual[0]
 
     def contraction(self, dt: float) -> float:
         """Factor by which a sweep of the plain iteration shrinks the residual, from the last sweeps above rounding."""

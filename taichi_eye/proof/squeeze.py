@@ -35,7 +35,7 @@ class _Gap:
         for i in range(self.count):
             self.aqueous.find_pressure_gradient(i)
         for i in range(self.count):
-            self.aqueous.kick(i, dt, self.top_velocity)
+            self.aqueous.kick(0, i, dt, self.top_velocity)
         for i in range(self.count):
             self.rate[i] = self.aqueous.divergence[i]
 

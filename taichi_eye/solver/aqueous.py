@@ -46,22 +46,24 @@ CORNERS = 12  # triangles that may meet in a node
 
 @ti.data_oriented
 class Aqueous:
-    """Nodes of the aqueous humour in fields; the first `wall_count` are the cornea's, in its order.
+    """Nodes of the aqueous humour in fields; the first `wall_count` of an eye are its cornea's, in its order.
 
+    capacity: nodes of all eyes (see `NeighbourLists`); an eye's triangles start at twice the number of its first node.
     place [m], velocity [m/s], pressure (excess over the IOP) [Pa], volume of a node's ring [m^3]. planar: a plane flow
     in (x, z) instead, volumes per metre of depth; verification problems use it.
     """
 
-    def __init__(self, capacity: int, basis: str, planar: bool = False):
+    def __init__(self, capacity: int, basis: str, planar: bool = False, eyes: int = 1):
         fp = real()
-        self.capacity, self.basis, self.planar, self.nodes = capacity, basis, planar, 0
-        self.neighbours = NeighbourLists(capacity, WIDTH[basis], planar)
+        self.capacity, self.basis, self.planar = capacity, basis, planar
+        self.nodes = np.zeros(eyes, dtype=int)  # of each eye
+        self.neighbours = NeighbourLists(capacity, WIDTH[basis], planar, eyes)
         self.operators = MfpmOperators(self.neighbours, basis)
         # the dissipation stays on the quadratic basis, whichever basis the equations take
         self.smoother = self.operators if basis == "quadratic" else MfpmOperators(self.neighbours, "quadratic")
-        self.count = self.neighbours.count
-        self.wall_count, self.no_slip = ti.field(ti.i32, ()), ti.field(ti.i32, ())
-        self.sealed, self.outflow = ti.field(ti.i32, ()), ti.field(fp, ())  # q [1/s], 0 where sealed
+        self.first, self.count = self.neighbours.first, self.neighbours.count
+        self.wall_count, self.no_slip = ti.field(ti.i32, eyes), ti.field(ti.i32, eyes)
+        self.sealed, self.outflow = ti.field(ti.i32, eyes), ti.field(fp, eyes)  # q [1/s], 0 where sealed
         vector = lambda: ti.Vector.field(2, fp, capacity)
         scalar = lambda: ti.field(fp, capacity)
         self.rest, self.place, self.velocity, self.candidate, self.slide = (vector() for _ in range(5))
@@ -73,23 +75,25 @@ class Aqueous:
         self.outflow_loss = scalar()
         self.kind, self.wall_index = ti.field(ti.i32, capacity), ti.field(ti.i32, capacity)
         self.wall_fraction, self.height_fraction = scalar(), scalar()
-        self.triangle_count = ti.field(ti.i32, ())
+        self.triangle_count = ti.field(ti.i32, eyes)
         self.triangle = ti.field(ti.i32, (2 * capacity, 3))
         self.rest_area = ti.field(fp, 2 * capacity)
         self.corner = ti.field(ti.i32, (capacity, CORNERS))
         self.corner_count = ti.field(ti.i32, capacity)
-        self.density0, self.viscosity, self.sound_speed = (ti.field(fp, ()) for _ in range(3))
-        self.dissipation_length = ti.field(fp, ())  # alpha c h [m^2/s]
-        self.rest_volume, self.last_volume, self.compliance = (ti.field(fp, ()) for _ in range(3))
-        self.pressure_shift = ti.field(fp, ())
+        self.density0, self.viscosity, self.sound_speed = (ti.field(fp, eyes) for _ in range(3))
+        self.dissipation_length = ti.field(fp, eyes)  # alpha c h [m^2/s]
+        self.rest_volume, self.last_volume, self.compliance = (ti.field(fp, eyes) for _ in range(3))
+        self.pressure_shift = ti.field(fp, eyes)
 
     def setup(self, cloud: Cloud, density: float, viscosity: float, sound_speed: float, dissipation: float,
-              no_slip: bool = False, sealed: bool = True, stencil: int | None = None) -> None:
-        """Place the nodes at rest, choose their stencils and compute all weights (SI units).
+              no_slip: bool = False, sealed: bool = True, compliance: float = 0.0, stencil: int | None = None,
+              eye: int = 0, first: int = 0) -> None:
+        """Place the nodes of one eye at rest, choose their stencils and compute all weights (SI units).
 
-        stencil: neighbours wanted per node; the basis has its own number.
+        compliance: volume [m^3/Pa] by which the rest of the globe yields; stencil: neighbours wanted per node; the basis
+        has its own number. Several eyes are set up in their order, each from the node after the last one's on.
         """
-        self.nodes = count = cloud.count
+        self.nodes[eye] = count = cloud.count
         corner = np.zeros((count, CORNERS), dtype=np.int32)
         corners = np.zeros(count, dtype=np.int32)
         for t, nodes in enumerate(cloud.triangles):
@@ -97,30 +101,31 @@ class Aqueous:
                 corner[node, corners[node]] = t
                 corners[node] += 1
         self._load(cloud.points, cloud.kind, cloud.direction, cloud.wall_index, cloud.wall_fraction,
-                   cloud.height_fraction, corner, corners)
+                   cloud.height_fraction, corner, corners, first)
         self._load_chamber(cloud.triangles, cloud.wall_count, cloud.section.volume(), density, viscosity, sound_speed,
-                           dissipation * sound_speed * cloud.spacing, no_slip, sealed)
-        self.neighbours.search(self.place, count, SEARCH_RADIUS[self.basis] * cloud.spacing)
-        self.operators.choose_stencils(self.place, stencil or STENCIL[self.basis], CONDITION_LIMIT[self.basis])
+                           dissipation * sound_speed * cloud.spacing, no_slip, sealed, compliance, eye, first)
+        self.neighbours.search(self.place, count, SEARCH_RADIUS[self.basis] * cloud.spacing, eye, first)
+        self.operators.choose_stencils(self.place, stencil or STENCIL[self.basis], CONDITION_LIMIT[self.basis], eye)
         if self.smoother is not self.operators:
-            self.smoother.choose_stencils(self.place, STENCIL["quadratic"], CONDITION_LIMIT["quadratic"])
-        self.rebuild()
-        self._remember_areas()
+            self.smoother.choose_stencils(self.place, STENCIL["quadratic"], CONDITION_LIMIT["quadratic"], eye)
+        self.rebuild((np.arange(len(self.nodes)) == eye).astype(np.int32))
+        self._remember_areas(eye)
 
     @ti.kernel
     def _load(self, points: ti.types.ndarray(), kind: ti.types.ndarray(), direction: ti.types.ndarray(),
               wall_index: ti.types.ndarray(), wall_fraction: ti.types.ndarray(), height_fraction: ti.types.ndarray(),
-              corner: ti.types.ndarray(), corner_count: ti.types.ndarray()):
-        for i in range(points.shape[0]):
+              corner: ti.types.ndarray(), corner_count: ti.types.ndarray(), first: int):
+        for n in range(points.shape[0]):
+            i = first + n
             zero = ti.Vector([0.0, 0.0])
-            self.rest[i] = ti.Vector([points[i, 0], points[i, 1]])
+            self.rest[i] = ti.Vector([points[n, 0], points[n, 1]])
             self.place[i] = self.rest[i]
-            self.kind[i], self.slide[i] = kind[i], ti.Vector([direction[i, 0], direction[i, 1]])
-            self.wall_index[i], self.wall_fraction[i] = wall_index[i], wall_fraction[i]
-            self.height_fraction[i] = height_fraction[i]
-            self.corner_count[i] = corner_count[i]
+            self.kind[i], self.slide[i] = kind[n], ti.Vector([direction[n, 0], direction[n, 1]])
+            self.wall_index[i], self.wall_fraction[i] = first + wall_index[n], wall_fraction[n]
+            self.height_fraction[i] = height_fraction[n]
+            self.corner_count[i] = corner_count[n]
             for k in range(CORNERS):
-                self.corner[i, k] = corner[i, k]
+                self.corner[i, k] = 2 * first + corner[n, k]
             self.velocity[i], self.candidate[i], self.laplacian[i] = zero, zero, zero
             self.pressure[i], self.potential[i], self.divergence[i] = 0.0, 0.0, 0.0
             self.pressure_gradient[i], self.smooth_gradient[i] = zero, zero
@@ -131,22 +136,24 @@ class Aqueous:
 
     @ti.kernel
     def _load_chamber(self, triangles: ti.types.ndarray(), wall_count: int, volume: float, density: float,
-                      viscosity: float, sound_speed: float, dissipation_length: float, no_slip: int, sealed: int):
-        self.wall_count[None], self.triangle_count[None] = wall_count, triangles.shape[0]
-        self.rest_volume[None], self.last_volume[None], self.pressure_shift[None] = volume, volume, 0.0
-        self.density0[None], self.viscosity[None], self.sound_speed[None] = density, viscosity, sound_speed
-        self.dissipation_length[None], self.no_slip[None] = dissipation_length, no_slip
-        self.sealed[None], self.outflow[None] = sealed, 0.0
+                      viscosity: float, sound_speed: float, dissipation_length: float, no_slip: int, sealed: int,
+                      compliance: float, eye: int, first: int):
+        self.wall_count[eye], self.triangle_count[eye] = wall_count, triangles.shape[0]
+        self.rest_volume[eye], self.last_volume[eye], self.pressure_shift[eye] = volume, volume, 0.0
+        self.density0[eye], self.viscosity[eye], self.sound_speed[eye] = density, viscosity, sound_speed
+        self.dissipation_length[eye], self.no_slip[eye] = dissipation_length, no_slip
+        self.sealed[eye], self.outflow[eye], self.compliance[eye] = sealed, 0.0, compliance
         for t in range(triangles.shape[0]):
             for k in ti.static(range(3)):
-                self.triangle[t, k] = triangles[t, k]
+                self.triangle[2 * first + t, k] = first + triangles[t, k]
 
-    def rebuild(self) -> None:
-        """Recompute operator weights and node volumes at the current places."""
-        self.operators.rebuild(self.place)
+    def rebuild(self, due=None) -> None:
+        """Recompute operator weights and node volumes at the current places, for the eyes in the mask `due` [eyes]."""
+        due = self.neighbours.everyone() if due is None else due
+        self.operators.rebuild(self.place, due)
         if self.smoother is not self.operators:
-            self.smoother.rebuild(self.place)
-        self._measure_volumes()
+            self.smoother.rebuild(self.place, due)
+        self._measure_volumes(due)
 
     @ti.func
     def triangle_area(self, t):
@@ -155,23 +162,29 @@ class Aqueous:
         return 0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
     @ti.kernel
-    def _remember_areas(self):
-        for t in range(self.triangle_count[None]):
+    def _remember_areas(self, eye: int):
+        for t in range(2 * self.first[eye], 2 * self.first[eye] + self.triangle_count[eye]):
             self.rest_area[t] = self.triangle_area(t)
 
     @ti.kernel
-    def _measure_volumes(self):
-        for i in range(self.count[None]):
-            volume = 0.0
-            for k in range(self.corner_count[i]):
-                t = self.corner[i, k]
-                radii = (self.place[self.triangle[t, 0]][0] + self.place[self.triangle[t, 1]][0]
-                         + self.place[self.triangle[t, 2]][0] + self.place[i][0])
-                if ti.static(self.planar):
-                    volume += self.triangle_area(t) / 3.0
-                else:
-                    volume += 2.0 * ti.math.pi * self.triangle_area(t) * radii / 12.0
-            self.volume[i] = volume
+    def _measure_volumes(self, due: ti.types.ndarray()):
+        for i in range(self.neighbours.total[None]):
+            if due[self.neighbours.eye_of[i]] == 1:
+                self.volume[i] = self.volume_of(i)
+
+    @ti.func
+    def volume_of(self, i):
+        """Volume [m^3] of the ring of node i: a third of its triangles."""
+        volume = 0.0
+        for k in range(self.corner_count[i]):
+            t = self.corner[i, k]
+            radii = (self.place[self.triangle[t, 0]][0] + self.place[self.triangle[t, 1]][0]
+                     + self.place[self.triangle[t, 2]][0] + self.place[i][0])
+            if ti.static(self.planar):
+                volume += self.triangle_area(t) / 3.0
+            else:
+                volume += 2.0 * ti.math.pi * self.triangle_area(t) * radii / 12.0
+        return volume
 
     @ti.func
     def wall_share(self, i, wall_field: ti.template()):
@@ -187,9 +200,9 @@ class Aqueous:
         self.place[i] = self.rest[i] + self.height_fraction[i] * shift
 
     @ti.func
-    def density(self, i):
+    def density(self, eye, i):
         """Density [kg/m^3] of node i from its pressure."""
-        return self.density0[None] + self.pressure[i] / self.sound_speed[None] ** 2
+        return self.density0[eye] + self.pressure[i] / self.sound_speed[eye] ** 2
 
     @ti.func
     def find_pressure_gradient(self, i):
@@ -237,67 +250,67 @@ class Aqueous:
         return rough_p, rough_u
 
     @ti.func
-    def kick(self, i, dt, wall_velocity: ti.template()):
+    def kick(self, eye, i, dt, wall_velocity: ti.template()):
         """Momentum: the candidate velocity of node i half a step later, and its pressure dissipation."""
         rough_p, rough_u = self.dissipation_at(i)
-        rough_u *= self.dissipation_length[None]
-        rho = self.density(i)
+        rough_u *= self.dissipation_length[eye]
+        rho = self.density(eye, i)
         slip = self.velocity[i] - self.wall_share(i, wall_velocity)
         gradient = self.velocity_gradient[i]
         carried = ti.Vector([gradient[0, 0] * slip[0] + gradient[0, 1] * slip[1],
                              gradient[1, 0] * slip[0] + gradient[1, 1] * slip[1]])
-        push = (self.viscosity[None] * self.laplacian[i] - self.pressure_gradient[i]) / rho - carried + rough_u
-        self.pressure_dissipation[i] = self.dissipation_length[None] * rough_p
+        push = (self.viscosity[eye] * self.laplacian[i] - self.pressure_gradient[i]) / rho - carried + rough_u
+        self.pressure_dissipation[i] = self.dissipation_length[eye] * rough_p
         candidate = self.velocity[i] + dt * push
         if self.kind[i] == SLIDE:
             candidate = self.slide[i] * self.slide[i].dot(candidate)
-            if self.no_slip[None] == 1 and self.place[i][0] > 0.0:
+            if self.no_slip[eye] == 1 and self.place[i][0] > 0.0:
                 candidate = ti.Vector([0.0, 0.0])
         elif self.kind[i] == FIXED:
             candidate = ti.Vector([0.0, 0.0])
         self.candidate[i] = candidate
         middle = 0.5 * (candidate + self.velocity[i])
-        if self.no_slip[None] == 1 and self.kind[i] != FREE:
+        if self.no_slip[eye] == 1 and self.kind[i] != FREE:
             # the wall sets this velocity, not the candidate
             middle = ti.Vector([0.0, 0.0])
         self.numerical_loss[i] -= dt * self.volume[i] * (
             rho * middle.dot(rough_u)
-            + self.pressure[i] * self.pressure_dissipation[i] / (self.density0[None] * self.sound_speed[None] ** 2))
+            + self.pressure[i] * self.pressure_dissipation[i] / (self.density0[eye] * self.sound_speed[eye] ** 2))
 
     @ti.func
-    def meet_wall(self, i, wall_place: ti.template(), wall_velocity):
+    def meet_wall(self, eye, i, wall_place: ti.template(), wall_velocity):
         """The velocity of wall node i once the cornea moves with `wall_velocity` there."""
         velocity = wall_velocity
-        if self.no_slip[None] == 0 and i > 0 and self.kind[i] == WALL:
+        if self.no_slip[eye] == 0 and i > self.first[eye] and self.kind[i] == WALL:
             along = (wall_place[i + 1] - wall_place[i - 1]).normalized()
             normal = ti.Vector([-along[1], along[0]])
             velocity = self.candidate[i] + normal * normal.dot(wall_velocity - self.candidate[i])
         return velocity
 
     @ti.func
-    def pressure_rate(self, i, divergence, wall_velocity: ti.template()):
+    def pressure_rate(self, eye, i, divergence, wall_velocity: ti.template()):
         """dp/dt [Pa/s] of node i with the divergence given."""
         slip = self.velocity[i] - self.wall_share(i, wall_velocity)
         return (self.pressure_dissipation[i] - slip.dot(self.pressure_gradient[i])
-                - (self.density0[None] * self.sound_speed[None] ** 2 + self.pressure[i])
-                * (divergence + self.outflow[None]))
+                - (self.density0[eye] * self.sound_speed[eye] ** 2 + self.pressure[i])
+                * (divergence + self.outflow[eye]))
 
     @ti.func
-    def compress(self, i, dt, wall_velocity: ti.template()):
+    def compress(self, eye, i, dt, wall_velocity: ti.template()):
         """Continuity: the pressure of node i at the end of the step, and what viscosity and outflow have taken."""
-        self.pressure[i] += dt * self.pressure_rate(i, self.divergence[i], wall_velocity) + self.pressure_shift[None]
-        self.potential[i] = self.pressure[i] - self.viscosity[None] / 3.0 * self.divergence[i]
+        self.pressure[i] += dt * self.pressure_rate(eye, i, self.divergence[i], wall_velocity) + self.pressure_shift[eye]
+        self.potential[i] = self.pressure[i] - self.viscosity[eye] / 3.0 * self.divergence[i]
         g, divergence = self.velocity_gradient[i], self.divergence[i]
         hoop = divergence - g[0, 0] - g[1, 1]
         squares = g[0, 0] ** 2 + g[1, 1] ** 2 + hoop ** 2 + 0.5 * (g[0, 1] + g[1, 0]) ** 2 - divergence ** 2 / 3.0
-        self.viscous_loss[i] += dt * self.volume[i] * 2.0 * self.viscosity[None] * squares
-        if self.sealed[None] == 0:
-            rho = self.density(i)
-            self.outflow_loss[i] += dt * self.outflow[None] * self.volume[i] * (
-                0.5 * rho * self.velocity[i].norm_sqr() + self.pressure[i] + rho * self.stored_at(i))
+        self.viscous_loss[i] += dt * self.volume[i] * 2.0 * self.viscosity[eye] * squares
+        if self.sealed[eye] == 0:
+            rho = self.density(eye, i)
+            self.outflow_loss[i] += dt * self.outflow[eye] * self.volume[i] * (
+                0.5 * rho * self.velocity[i].norm_sqr() + self.pressure[i] + rho * self.stored_at(eye, i))
 
     @ti.func
-    def missing_pressure(self, volume):
+    def missing_pressure(self, eye, volume):
         """The uniform pressure [Pa] that restores the mean density of the chamber at its volume [m^3].
 
         In an open chamber: that brings the mean excess pressure back to zero.
@@ -306,23 +319,23 @@ class Aqueous:
         of that; what it is going to bring too much, by the last change of volume, is taken off beforehand.
         """
         total, weight = 0.0, 0.0
-        for i in range(self.count[None]):
+        for i in range(self.first[eye], self.first[eye] + self.count[eye]):
             total += self.volume[i] * self.pressure[i]
             weight += self.volume[i]
-        stiffness = self.density0[None] * self.sound_speed[None] ** 2
-        yielding = 1.0 + stiffness * self.compliance[None] / volume
-        coming = stiffness * (self.last_volume[None] / volume - 1.0) * (1.0 - 1.0 / yielding)
-        self.last_volume[None] = volume
-        mean = stiffness * (self.rest_volume[None] / volume - 1.0) / yielding - coming
-        if self.sealed[None] == 0:
+        stiffness = self.density0[eye] * self.sound_speed[eye] ** 2
+        yielding = 1.0 + stiffness * self.compliance[eye] / volume
+        coming = stiffness * (self.last_volume[eye] / volume - 1.0) * (1.0 - 1.0 / yielding)
+        self.last_volume[eye] = volume
+        mean = stiffness * (self.rest_volume[eye] / volume - 1.0) / yielding - coming
+        if self.sealed[eye] == 0:
             mean = 0.0
         return mean - total / weight
 
     @ti.func
-    def stored_at(self, i):
+    def stored_at(self, eye, i):
         """Elastic energy [J/kg] of node i relative to rest: the integral of p / rho^2 d rho, without the IOP."""
-        c2 = self.sound_speed[None] ** 2
-        ratio = self.pressure[i] / (self.density0[None] * c2)
+        c2 = self.sound_speed[eye] ** 2
+        ratio = self.pressure[i] / (self.density0[eye] * c2)
         # ln(1 + x) - x / (1 + x), by its series where the difference would cancel
         stored = ti.log(1.0 + ratio) - ratio / (1.0 + ratio)
         if ti.abs(ratio) < 0.01:
@@ -330,12 +343,12 @@ class Aqueous:
         return c2 * stored
 
     @ti.func
-    def energies(self, volume):
-        """Kinetic energy and elastic energy relative to rest [J] of the whole liquid; the IOP's part is left out."""
+    def energies(self, eye, volume):
+        """Kinetic energy and elastic energy relative to rest [J] of an eye's liquid; the IOP's part is left out."""
         kinetic, elastic, weight = 0.0, 0.0, 0.0
-        for i in range(self.count[None]):
-            rho = self.density(i)
+        for i in range(self.first[eye], self.first[eye] + self.count[eye]):
+            rho = self.density(eye, i)
             kinetic += 0.5 * rho * self.volume[i] * self.velocity[i].norm_sqr()
-            elastic += rho * self.volume[i] * self.stored_at(i)
+            elastic += rho * self.volume[i] * self.stored_at(eye, i)
             weight += self.volume[i]
         return kinetic * volume / weight, elastic * volume / weight

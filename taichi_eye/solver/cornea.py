@@ -35,7 +35,9 @@ from taichi_eye.backend import real
 
 @ti.data_oriented
 class Cornea:
-    """Membrane nodes and elements in fields; capacity counts nodes.
+    """Membrane nodes and elements in fields; capacity counts nodes, of all eyes where there are several.
+
+    Eye e owns the nodes first[e] to last[e]; element k joins nodes k and k + 1.
 
     place, velocity, acceleration: [m], [m/s], [m/s^2]; rest: reference places; force_air, force_solid: forces [N] of the
     air and of everything else but the fluid's excess pressure; stress: S1, S2 of each element [Pa].
@@ -45,10 +47,11 @@ class Cornea:
     plane in which the last node moves along r or along z). planar: a strip of unit depth in (x, z), without hoop strain.
     """
 
-    def __init__(self, capacity: int, law: str = "exponential", rim: str = "clamped", planar: bool = False):
+    def __init__(self, capacity: int, law: str = "exponential", rim: str = "clamped", planar: bool = False,
+                 eyes: int = 1):
         fp = real()
         self.capacity, self.law, self.rim, self.planar = capacity, law, rim, planar
-        self.elements = ti.field(ti.i32, ())
+        self.first, self.last = ti.field(ti.i32, eyes), ti.field(ti.i32, eyes)
         vector = lambda: ti.Vector.field(2, fp, capacity)
         scalar = lambda: ti.field(fp, capacity)
         self.rest, self.place, self.velocity, self.acceleration = vector(), vector(), vector(), vector()
@@ -58,15 +61,14 @@ class Cornea:
         self.element_length, self.element_radius, self.element_volume = scalar(), scalar(), scalar()
         self.prestrain, self.rest_angle = scalar(), scalar()
         self.flexure = vector()  # of the node at an element's start, and of the element [J]
-        self.flexible = ti.field(ti.i32, ())
+        self.flexible = ti.field(ti.i32, eyes)
         self.stress = vector()
-        self.material = ti.field(fp, 3)  # A [Pa], s, nu
-        self.iop = ti.field(fp, ())
-        self.puff_work = ti.field(fp, ())
+        self.material = ti.field(fp, (eyes, 3))  # A [Pa], s, nu
+        self.iop, self.puff_work = ti.field(fp, eyes), ti.field(fp, eyes)
 
     def setup(self, nodes, thickness, density: float, material, iop: float, load_shape,
-              flexural_modulus: float = 0.0) -> None:
-        """Place the membrane at rest.
+              flexural_modulus: float = 0.0, eye: int = 0, first: int = 0) -> None:
+        """Place the membrane of one eye at rest, its nodes from `first` on.
 
         nodes [n, 2] (m), apex first; thickness (m); density (kg/m^3); material (A in Pa, s, nu, eps0); iop (Pa);
         load_shape [n]: the puff's pressure at each node relative to its pressure on the axis; flexural_modulus (Pa):
@@ -96,39 +98,42 @@ class Cornea:
             flexure[:, 1] = rigidity * 2.0 * np.pi * length / radius
         angle = np.arctan2(-np.diff(nodes[:, 1]), np.diff(nodes[:, 0]))
         self._load(np.ascontiguousarray(nodes), density * ring, length, radius, volume, np.ascontiguousarray(eps0),
-                   flexure, angle, shape, *constants, iop)
-        self._store_rest_residual()
+                   flexure, angle, shape, *constants, iop, eye, first)
+        self._store_rest_residual(eye)
 
     @ti.kernel
     def _load(self, nodes: ti.types.ndarray(), mass: ti.types.ndarray(), length: ti.types.ndarray(),
               radius: ti.types.ndarray(), volume: ti.types.ndarray(), prestrain: ti.types.ndarray(),
-              flexure: ti.types.ndarray(), angle: ti.types.ndarray(), load_shape: ti.types.ndarray(), stiffness: float, s: float, nu: float, iop: float):
-        self.elements[None] = nodes.shape[0] - 1
-        self.material[0], self.material[1], self.material[2] = stiffness, s, nu
-        self.iop[None] = iop
-        self.puff_work[None] = 0.0
-        for i in range(nodes.shape[0]):
+              flexure: ti.types.ndarray(), angle: ti.types.ndarray(), load_shape: ti.types.ndarray(),
+              stiffness: float, s: float, nu: float, iop: float, eye: int, first: int):
+        self.first[eye], self.last[eye] = first, first + nodes.shape[0] - 1
+        self.material[eye, 0], self.material[eye, 1], self.material[eye, 2] = stiffness, s, nu
+        self.iop[eye], self.puff_work[eye] = iop, 0.0
+        for n in range(nodes.shape[0]):
+            i = first + n
             zero = ti.Vector([0.0, 0.0])
-            self.rest[i] = ti.Vector([nodes[i, 0], nodes[i, 1]])
+            self.rest[i] = ti.Vector([nodes[n, 0], nodes[n, 1]])
             self.place[i] = self.rest[i]
-            self.mass[i], self.load_shape[i], self.air_pressure[i] = mass[i], load_shape[i], 0.0
+            self.mass[i], self.load_shape[i], self.air_pressure[i] = mass[n], load_shape[n], 0.0
             self.velocity[i], self.acceleration[i], self.lost[i] = zero, zero, zero
             self.force_air[i], self.force_solid[i], self.residual[i] = zero, zero, zero
-        for k in range(nodes.shape[0] - 1):
-            self.element_length[k], self.element_radius[k] = length[k], radius[k]
-            self.element_volume[k], self.prestrain[k] = volume[k], prestrain[k]
-            self.flexure[k], self.rest_angle[k] = ti.Vector([flexure[k, 0], flexure[k, 1]]), angle[k]
-        self.flexible[None] = ti.select(flexure[0, 1] > 0.0, 1, 0)
+        for n in range(nodes.shape[0] - 1):
+            k = first + n
+            self.element_length[k], self.element_radius[k] = length[n], radius[n]
+            self.element_volume[k], self.prestrain[k] = volume[n], prestrain[n]
+            self.flexure[k], self.rest_angle[k] = ti.Vector([flexure[n, 0], flexure[n, 1]]), angle[n]
+        self.flexible[eye] = ti.select(flexure[0, 1] > 0.0, 1, 0)
 
     @ti.func
-    def stress_of(self, e, shift):
+    def stress_of(self, eye, e, shift):
         """S1, S2 [Pa] and W [J/m^3] at the strains e = (e1, e2), shifted by `shift`."""
         if ti.static(self.law == "tension"):
             # W = S lam1 lam2: tension times area
             lam1, lam2 = ti.sqrt(1.0 + 2.0 * (e[0] - shift)), ti.sqrt(1.0 + 2.0 * (e[1] - shift))
-            return self.material[0] * ti.Vector([lam2 / lam1, lam1 / lam2]), self.material[0] * (lam1 * lam2 - 1.0)
+            tension = self.material[eye, 0]
+            return tension * ti.Vector([lam2 / lam1, lam1 / lam2]), tension * (lam1 * lam2 - 1.0)
         else:
-            stiffness, s, nu = self.material[0], self.material[1], self.material[2]
+            stiffness, s, nu = self.material[eye, 0], self.material[eye, 1], self.material[eye, 2]
             total = e[0] + e[1]
             grown = ti.exp(s * ((1.0 - nu) * (e[0] * e[0] + e[1] * e[1]) + nu * total * total))
             factor = 2.0 * stiffness * s * grown
@@ -153,9 +158,9 @@ class Cornea:
         return ti.Vector([0.5 * (lam1_squared - 1.0) + shift, 0.5 * (lam2 * lam2 - 1.0) + shift])
 
     @ti.func
-    def stretch_element(self, k):
+    def stretch_element(self, eye, k):
         """Edge tension (N, along the edge, pulling node k outwards) and hoop force (N) of element k."""
-        stress, energy = self.stress_of(self.strain_of(k), self.prestrain[k])
+        stress, energy = self.stress_of(eye, self.strain_of(k), self.prestrain[k])
         edge = self.place[k + 1] - self.place[k]
         lam2 = self.hoop_stretch(k)
         self.stress[k] = stress
@@ -164,8 +169,8 @@ class Cornea:
             self.hoop[k] = 0.0
         else:
             self.hoop[k] = self.element_volume[k] * stress[1] * lam2 * 0.5 / self.element_radius[k]
-        if self.flexible[None] != 0:
-            self.tension[k] += ti.Vector([edge[1], -edge[0]]) * (self.bending_torque(k) / edge.norm_sqr())
+        if self.flexible[eye] != 0:
+            self.tension[k] += ti.Vector([edge[1], -edge[0]]) * (self.bending_torque(eye, k) / edge.norm_sqr())
 
     @ti.func
     def inclination(self, k):
@@ -175,24 +180,24 @@ class Cornea:
         return angle, angle - self.rest_angle[k]
 
     @ti.func
-    def bending_torque(self, k):
+    def bending_torque(self, eye, k):
         """Derivative [J] of the bending energy with respect to the inclination of element k."""
         angle, turned = self.inclination(k)
         before = 0.0
-        if k > 0:
+        if k > self.first[eye]:
             before = self.inclination(k - 1)[1]
         torque = self.flexure[k][0] * (turned - before)
-        if k + 1 < self.elements[None]:
+        if k + 1 < self.last[eye]:
             torque -= self.flexure[k + 1][0] * (self.inclination(k + 1)[1] - turned)
         return torque + self.flexure[k][1] * (ti.sin(angle) - ti.sin(self.rest_angle[k])) * ti.cos(angle)
 
     @ti.func
-    def bending_energy(self):
+    def bending_energy(self, eye):
         """Energy of bending [J], zero at rest."""
         energy = 0.0
-        if self.flexible[None] != 0:
+        if self.flexible[eye] != 0:
             before = 0.0
-            for k in range(self.elements[None]):
+            for k in range(self.first[eye], self.last[eye]):
                 angle, turned = self.inclination(k)
                 energy += 0.5 * self.flexure[k][0] * (turned - before) ** 2
                 energy += 0.5 * self.flexure[k][1] * (ti.sin(angle) - ti.sin(self.rest_angle[k])) ** 2
@@ -200,29 +205,29 @@ class Cornea:
         return energy
 
     @ti.func
-    def elastic_force(self, i):
+    def elastic_force(self, eye, i):
         """Internal force [N] on node i from the tensions of its elements."""
         force = ti.Vector([0.0, 0.0])
-        if i > 0:
+        if i > self.first[eye]:
             force -= self.tension[i - 1]
             force[0] -= self.hoop[i - 1]
-        if i < self.elements[None]:
+        if i < self.last[eye]:
             force += self.tension[i]
             force[0] -= self.hoop[i]
         return force
 
     @ti.func
-    def volume_gradient(self, i):
+    def volume_gradient(self, eye, i):
         """Derivative [m^2] of the enclosed volume with respect to the place of node i: its ring's area vector."""
         gradient = ti.Vector([0.0, 0.0])
-        if i > 0:
+        if i > self.first[eye]:
             edge = self.place[i] - self.place[i - 1]
             radius = 0.5 * (self.place[i][0] + self.place[i - 1][0])
             if ti.static(self.planar):
                 gradient += 0.5 * ti.Vector([-edge[1], edge[0]])
             else:
                 gradient += ti.math.pi * radius * ti.Vector([-edge[1], -radius])
-        if i < self.elements[None]:
+        if i < self.last[eye]:
             edge = self.place[i + 1] - self.place[i]
             radius = 0.5 * (self.place[i][0] + self.place[i + 1][0])
             if ti.static(self.planar):
@@ -232,12 +237,12 @@ class Cornea:
         return gradient
 
     @ti.func
-    def held(self, i, vector):
+    def held(self, eye, i, vector):
         """The vector with what the supports take: no radial part at the apex, nothing at the limbus."""
         kept = vector
-        if i == 0:
+        if i == self.first[eye]:
             kept[0] = 0.0
-        if i == self.elements[None]:
+        if i == self.last[eye]:
             if ti.static(self.rim == "sliding_r"):
                 kept[1] = 0.0
             elif ti.static(self.rim == "sliding_z"):
@@ -247,28 +252,28 @@ class Cornea:
         return kept
 
     @ti.func
-    def predict(self, i, dt):
+    def predict(self, eye, i, dt):
         """Explicit Newmark (beta 0): the place at the end of the step from the state at its start.
 
         The sum is compensated (Kahan): a step moves a node by less than f32 resolves at its place.
         """
-        step = self.held(i, dt * self.velocity[i] + 0.5 * dt * dt * self.acceleration[i]) - self.lost[i]
+        step = self.held(eye, i, dt * self.velocity[i] + 0.5 * dt * dt * self.acceleration[i]) - self.lost[i]
         moved = self.place[i] + step
         self.lost[i] = (moved - self.place[i]) - step
         self.place[i] = moved
 
     @ti.func
-    def collect_forces(self, i):
+    def collect_forces(self, eye, i):
         """Forces of tissue, IOP, dead load and air on node i at the current place; the fluid's excess comes later."""
-        ring = self.volume_gradient(i)
-        self.force_solid[i] = self.elastic_force(i) + self.iop[None] * ring - self.residual[i]
+        ring = self.volume_gradient(eye, i)
+        self.force_solid[i] = self.elastic_force(eye, i) + self.iop[eye] * ring - self.residual[i]
         self.force_air[i] = -self.air_pressure[i] * ring
 
     @ti.func
-    def enclosed_volume(self):
+    def enclosed_volume(self, eye):
         """Volume between the membrane and the limbus plane [m^3], by the midpoint rule on each element."""
         volume = 0.0
-        for k in range(self.elements[None]):
+        for k in range(self.first[eye], self.last[eye]):
             a, b = self.place[k], self.place[k + 1]
             if ti.static(self.planar):
                 volume += 0.5 * (a[1] + b[1]) * (b[0] - a[0])
@@ -277,42 +282,43 @@ class Cornea:
         return volume
 
     @ti.kernel
-    def _store_rest_residual(self):
+    def _store_rest_residual(self, eye: int):
         ti.loop_config(serialize=True)
-        for k in range(self.elements[None]):
-            self.stretch_element(k)
+        for k in range(self.first[eye], self.last[eye]):
+            self.stretch_element(eye, k)
         ti.loop_config(serialize=True)
-        for i in range(self.elements[None] + 1):
-            self.residual[i] = self.elastic_force(i) + self.iop[None] * self.volume_gradient(i)
+        for i in range(self.first[eye], self.last[eye] + 1):
+            self.residual[i] = self.elastic_force(eye, i) + self.iop[eye] * self.volume_gradient(eye, i)
 
     @ti.func
-    def elastic_energy(self):
+    def elastic_energy(self, eye):
         """Stored energy [J] relative to rest is this minus its value at rest: tissue plus dead load."""
         energy = 0.0
-        for k in range(self.elements[None]):
-            stress, density = self.stress_of(self.strain_of(k), self.prestrain[k])
+        for k in range(self.first[eye], self.last[eye]):
+            stress, density = self.stress_of(eye, self.strain_of(k), self.prestrain[k])
             energy += self.element_volume[k] * density
-        for i in range(self.elements[None] + 1):
+        for i in range(self.first[eye], self.last[eye] + 1):
             energy += self.residual[i].dot(self.place[i] - self.rest[i])
-        return energy + self.bending_energy()
+        return energy + self.bending_energy(eye)
 
     @ti.func
-    def wave_speeds(self, k):
+    def wave_speeds(self, eye, k):
         """Speeds [m/s] of the in-plane and the transverse waves in element k; the in-plane tangent is the meridian's."""
+        first = self.first[eye]
         strain = self.strain_of(k)
-        stress, energy = self.stress_of(strain, self.prestrain[k])
-        density = self.mass[1] / (0.5 * (self.element_volume[0] + self.element_volume[1]))
-        s, nu = self.material[1], self.material[2]
-        grown = 2.0 * s * (energy + self.material[0])
+        stress, energy = self.stress_of(eye, strain, self.prestrain[k])
+        density = self.mass[first + 1] / (0.5 * (self.element_volume[first] + self.element_volume[first + 1]))
+        s, nu = self.material[eye, 1], self.material[eye, 2]
+        grown = 2.0 * s * (energy + self.material[eye, 0])
         slope = (1.0 - nu) * strain[0] + nu * (strain[0] + strain[1])
         stretch_squared = 2.0 * (strain[0] - self.prestrain[k]) + 1.0
         stiffness = grown * (1.0 + 2.0 * s * slope * slope) * stretch_squared + stress[0]
         return ti.sqrt(ti.max(stiffness, 0.0) / density), ti.sqrt(ti.max(stress[0], 0.0) / density)
 
     @ti.func
-    def kinetic_energy(self):
+    def kinetic_energy(self, eye):
         """Kinetic energy of the membrane [J]."""
         energy = 0.0
-        for i in range(self.elements[None] + 1):
+        for i in range(self.first[eye], self.last[eye] + 1):
             energy += 0.5 * self.mass[i] * self.velocity[i].norm_sqr()
         return energy

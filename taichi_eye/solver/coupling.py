@@ -40,111 +40,132 @@ RUNNING, NOT_CONVERGED = 0, 1
 
 @ti.data_oriented
 class Coupling:
-    """Steps cornea and aqueous humour together; `setup` says how."""
+    """Steps cornea and aqueous humour together; `setup` says how.
+
+    An eye's cornea and aqueous humour start at the same node, so wall node i is one and the same index in both.
+    """
 
     def __init__(self, cornea: Cornea, aqueous: Aqueous):
-        fp = real()
+        fp, eyes = real(), cornea.first.shape[0]
         self.cornea, self.aqueous = cornea, aqueous
         vector = lambda: ti.Vector.field(2, fp, cornea.capacity)
         self.guess, self.miss, self.last_miss, self.wall_velocity = vector(), vector(), vector(), vector()
         self.wall_pressure = ti.field(fp, cornea.capacity)
-        self.iterated, self.aitken, self.sweeps_max = (ti.field(ti.i32, ()) for _ in range(3))
-        self.factor, self.tolerance, self.velocity_floor = (ti.field(fp, ()) for _ in range(3))
-        self.status = ti.field(ti.i32, ())
+        self.iterated, self.aitken, self.sweeps_max = (ti.field(ti.i32, eyes) for _ in range(3))
+        self.factor, self.tolerance, self.velocity_floor = (ti.field(fp, eyes) for _ in range(3))
+        self.status = ti.field(ti.i32, eyes)
+        self.going, self.dt, self.kick_dt = ti.field(ti.i32, eyes), ti.field(fp, eyes), ti.field(fp, eyes)
         # the most sweeps of a step and the worst residual since they were last read
-        self.sweeps = ti.field(ti.i32, ())
-        self.worst_residual, self.rest_enclosed = ti.field(fp, ()), ti.field(fp, ())
+        self.sweeps = ti.field(ti.i32, eyes)
+        self.worst_residual, self.rest_enclosed = ti.field(fp, eyes), ti.field(fp, eyes)
 
-    def setup(self, iterated: bool, aitken: bool, factor: float, tolerance: float, sweeps_max: int) -> None:
-        """How step 3 runs, and a fresh start.
+    def setup(self, iterated: bool, aitken: bool, factor: float, tolerance: float, sweeps_max: int,
+              eye: int = 0) -> None:
+        """How step 3 runs in an eye, and a fresh start.
 
         factor: (first) relaxation factor; tolerance: largest change of the membrane's velocity in a sweep over its
         largest velocity; sweeps_max: at which the run counts as not converged.
         """
         self._load(iterated, aitken, factor, max(tolerance, FINEST_TOLERANCE[real()]), VELOCITY_FLOOR[real()],
-                   sweeps_max)
+                   sweeps_max, eye)
 
     @ti.kernel
-    def _load(self, iterated: int, aitken: int, factor: float, tolerance: float, floor: float, sweeps_max: int):
-        self.iterated[None], self.aitken[None], self.sweeps_max[None] = iterated, aitken, sweeps_max
-        self.factor[None], self.tolerance[None], self.velocity_floor[None] = factor, tolerance, floor
-        self.status[None] = RUNNING
-        self.sweeps[None], self.worst_residual[None] = 0, 0.0
+    def _load(self, iterated: int, aitken: int, factor: float, tolerance: float, floor: float, sweeps_max: int,
+              eye: int):
+        self.iterated[eye], self.aitken[eye], self.sweeps_max[eye] = iterated, aitken, sweeps_max
+        self.factor[eye], self.tolerance[eye], self.velocity_floor[eye] = factor, tolerance, floor
+        self.status[eye] = RUNNING
+        self.sweeps[eye], self.worst_residual[eye] = 0, 0.0
 
     def advance(self, puff_apex, dt: float, dt_before: float) -> None:
-        """Take len(puff_apex) steps of dt [s]; puff_apex [Pa]: the puff on the axis at the end of each step.
+        """Take len(puff_apex) steps of dt [s] of eye 0; puff_apex [Pa]: the puff on the axis at the end of each step.
 
         dt_before is the step before this call: velocities live at half steps, so the first kick spans both halves.
         """
-        if backend.on_cpu() and (self.aqueous.nodes <= SERIAL_NODES or backend.threads() == 1):
-            self._advance_serially(np.ascontiguousarray(puff_apex, dtype=float), dt, dt_before)
+        puff_apex, kick_dt = np.asarray(puff_apex, dtype=float)[None], 0.5 * (dt + dt_before)
+        steps = puff_apex.shape[1]
+        if backend.on_cpu() and (self.aqueous.nodes[0] <= SERIAL_NODES or backend.threads() == 1):
+            self._march(np.array([[0, steps, dt, kick_dt]]), puff_apex)
         else:
-            for step, puff in enumerate(puff_apex):
-                self._step_in_parallel(puff, dt, 0.5 * (dt + dt_before) if step == 0 else dt)
+            self.advance_in_parallel(np.zeros(1, dtype=int), np.array([steps]), np.array([dt]), np.array([kick_dt]),
+                                     puff_apex)
+
+    def advance_in_parallel(self, eyes, steps, dt, kick_dt, puff_apex) -> None:
+        """Take steps[k] steps of dt[k] [s] of each eye eyes[k], each part of a step in parallel over all nodes.
+
+        puff_apex [k, step] as in `advance`; kick_dt [k] [s]: what the first kick spans.
+        """
+        pace = np.zeros((len(self.aqueous.nodes), 3))
+        for step in range(max(steps)):
+            pace[eyes] = np.column_stack([puff_apex[:, step], np.where(step < steps, dt, 0.0), kick_dt])
+            kick_dt = dt
+            self._step_in_parallel(pace)
 
     @ti.func
-    def _start_step(self, i, puff, dt):
+    def _start_step(self, eye, i, puff, dt):
         # wall node i: predictor, air pressure at the end of the step
-        self.cornea.predict(i, dt)
+        self.cornea.predict(eye, i, dt)
         self.cornea.air_pressure[i] = puff * self.cornea.load_shape[i]
         self.guess[i] = self.cornea.acceleration[i]
         self.last_miss[i] = ti.Vector([0.0, 0.0])
 
     @ti.func
-    def _work_of_air(self, i, dt):
+    def _work_of_air(self, eye, i, dt):
         # trapezoid: the force before this call is the one at the start of the step
-        moved = self.cornea.held(i, dt * self.cornea.velocity[i] + 0.5 * dt * dt * self.cornea.acceleration[i])
+        moved = self.cornea.held(eye, i, dt * self.cornea.velocity[i] + 0.5 * dt * dt * self.cornea.acceleration[i])
         before = self.cornea.force_air[i]
-        self.cornea.collect_forces(i)
+        self.cornea.collect_forces(eye, i)
         return 0.5 * (before + self.cornea.force_air[i]).dot(moved)
 
     @ti.func
-    def _move_cornea(self, puff, dt):
+    def _move_cornea(self, eye, puff, dt):
         """Step 1: places, tensions and forces of the membrane; serial over the wall nodes."""
-        walls = self.aqueous.wall_count[None]
-        for i in range(walls):
-            self._start_step(i, puff, dt)
-        for k in range(walls - 1):
-            self.cornea.stretch_element(k)
+        first = self.cornea.first[eye]
+        end = first + self.aqueous.wall_count[eye]
+        for i in range(first, end):
+            self._start_step(eye, i, puff, dt)
+        for k in range(first, end - 1):
+            self.cornea.stretch_element(eye, k)
         work = 0.0
-        for i in range(walls):
-            work += self._work_of_air(i, dt)
-        self.cornea.puff_work[None] += work
+        for i in range(first, end):
+            work += self._work_of_air(eye, i, dt)
+        self.cornea.puff_work[eye] += work
 
     @ti.func
-    def _match_wall(self, dt):
+    def _match_wall(self, eye, dt):
         """Step 3: iterate the membrane's acceleration; serial over the wall nodes."""
-        walls = self.aqueous.wall_count[None]
-        omega = self.factor[None]
-        volume = self.chamber_volume()
+        first = self.cornea.first[eye]
+        end = first + self.aqueous.wall_count[eye]
+        omega = self.factor[eye]
+        volume = self.chamber_volume(eye)
         sweep = 0
         residual = ti.math.inf
         going = True
         broken = 0
         while going:
-            top = self.velocity_floor[None]
-            for i in range(walls):
+            top = self.velocity_floor[eye]
+            for i in range(first, end):
                 after = self.cornea.velocity[i] + 0.5 * dt * (self.cornea.acceleration[i] + self.guess[i])
-                self.wall_velocity[i] = self.cornea.held(i, 0.5 * (self.cornea.velocity[i] + after))
+                self.wall_velocity[i] = self.cornea.held(eye, i, 0.5 * (self.cornea.velocity[i] + after))
                 top = ti.max(top, after.norm())
-            if self.aqueous.sealed[None] == 0:
+            if self.aqueous.sealed[eye] == 0:
                 swept = 0.0
-                for i in range(walls):
-                    swept += self.cornea.volume_gradient(i).dot(self.wall_velocity[i])
-                self.aqueous.outflow[None] = -swept / volume
-            for i in range(walls):
-                self.aqueous.velocity[i] = self.aqueous.meet_wall(i, self.cornea.place, self.wall_velocity[i])
-            for i in range(walls):
+                for i in range(first, end):
+                    swept += self.cornea.volume_gradient(eye, i).dot(self.wall_velocity[i])
+                self.aqueous.outflow[eye] = -swept / volume
+            for i in range(first, end):
+                self.aqueous.velocity[i] = self.aqueous.meet_wall(eye, i, self.cornea.place, self.wall_velocity[i])
+            for i in range(first, end):
                 slopes = self.aqueous.operators.velocity_gradient_at(i, self.aqueous.velocity)
                 divergence = self.aqueous.operators.divergence_from(i, self.aqueous.place, self.aqueous.velocity, slopes)
-                self.wall_pressure[i] = (self.aqueous.pressure[i] + self.aqueous.pressure_shift[None]
-                                         + dt * self.aqueous.pressure_rate(i, divergence, self.wall_velocity))
+                self.wall_pressure[i] = (self.aqueous.pressure[i] + self.aqueous.pressure_shift[eye]
+                                         + dt * self.aqueous.pressure_rate(eye, i, divergence, self.wall_velocity))
             residual = 0.0
             square, product = 0.0, 0.0
-            for i in range(walls):
+            for i in range(first, end):
                 force = (self.cornea.force_solid[i] + self.cornea.force_air[i]
-                         + self.wall_pressure[i] * self.cornea.volume_gradient(i))
-                miss = self.cornea.held(i, force / self.cornea.mass[i]) - self.guess[i]
+                         + self.wall_pressure[i] * self.cornea.volume_gradient(eye, i))
+                miss = self.cornea.held(eye, i, force / self.cornea.mass[i]) - self.guess[i]
                 change = miss - self.last_miss[i]
                 square += change.norm_sqr()
                 product += self.last_miss[i].dot(change)
@@ -158,84 +179,102 @@ class Coupling:
             if broken == 1:
                 residual = ti.math.inf
             sweep += 1
-            if self.iterated[None] == 1:
+            if self.iterated[eye] == 1:
                 # written so that NaN goes on to the limit instead of passing
-                going = not (residual <= self.tolerance[None]) and sweep < self.sweeps_max[None]
+                going = not (residual <= self.tolerance[eye]) and sweep < self.sweeps_max[eye]
                 if going:
-                    if self.aitken[None] == 1 and sweep > 1 and square > 0.0:
+                    if self.aitken[eye] == 1 and sweep > 1 and square > 0.0:
                         omega = -omega * product / square
-                    for i in range(walls):
+                    for i in range(first, end):
                         self.guess[i] += omega * self.miss[i]
                         self.last_miss[i] = self.miss[i]
             else:
                 going = False
-                for i in range(walls):
+                for i in range(first, end):
                     self.guess[i] += self.miss[i]
-        if self.iterated[None] == 1 and not (residual <= self.tolerance[None]):
-            self.status[None] = NOT_CONVERGED
-        self.sweeps[None] = ti.max(self.sweeps[None], sweep)
-        self.worst_residual[None] = ti.max(self.worst_residual[None], residual)
+        if self.iterated[eye] == 1 and not (residual <= self.tolerance[eye]):
+            self.status[eye] = NOT_CONVERGED
+        self.sweeps[eye] = ti.max(self.sweeps[eye], sweep)
+        self.worst_residual[eye] = ti.max(self.worst_residual[eye], residual)
 
     @ti.func
-    def _end_cornea_step(self, i, dt):
+    def _end_cornea_step(self, eye, i, dt):
         accelerated = 0.5 * dt * (self.cornea.acceleration[i] + self.guess[i])
-        self.cornea.velocity[i] = self.cornea.held(i, self.cornea.velocity[i] + accelerated)
+        self.cornea.velocity[i] = self.cornea.held(eye, i, self.cornea.velocity[i] + accelerated)
         self.cornea.acceleration[i] = self.guess[i]
 
     @ti.func
-    def chamber_volume(self):
+    def chamber_volume(self, eye):
         """Volume [m^3] of the chamber under the present cornea."""
-        return self.aqueous.rest_volume[None] + (self.cornea.enclosed_volume() - self.rest_enclosed[None])
+        return self.aqueous.rest_volume[eye] + (self.cornea.enclosed_volume(eye) - self.rest_enclosed[eye])
 
     @ti.func
-    def _settle_pressure(self):
-        self.aqueous.pressure_shift[None] = self.aqueous.missing_pressure(self.chamber_volume())
+    def _settle_pressure(self, eye):
+        self.aqueous.pressure_shift[eye] = self.aqueous.missing_pressure(eye, self.chamber_volume(eye))
 
-    @ti.kernel
-    def _advance_serially(self, puff: ti.types.ndarray(), dt: float, dt_before: float):
-        nodes, walls = self.aqueous.count[None], self.aqueous.wall_count[None]
-        ti.loop_config(serialize=True)
-        for step in range(puff.shape[0]):
-            if self.status[None] == RUNNING:
-                kick_dt = dt
-                if step == 0:
-                    kick_dt = 0.5 * (dt + dt_before)
-                self._move_cornea(puff[step], dt)
-                for i in range(nodes):
+    @ti.func
+    def march(self, eye, k, pace: ti.template(), puff: ti.template()):
+        """All steps of an eye on one thread: row k of pace (eye, steps, the step and the first kick's step [s]) and puff."""
+        steps, dt, kick_dt = int(pace[k, 1]), float(pace[k, 2]), float(pace[k, 3])
+        first, walls_end = self.aqueous.first[eye], self.aqueous.first[eye] + self.aqueous.wall_count[eye]
+        end = first + self.aqueous.count[eye]
+        for step in range(steps):
+            if self.status[eye] == RUNNING:
+                if step > 0:
+                    kick_dt = dt
+                self._move_cornea(eye, puff[k, step], dt)
+                for i in range(first, end):
                     self.aqueous.find_pressure_gradient(i)
-                for i in range(nodes):
-                    self.aqueous.kick(i, kick_dt, self.cornea.velocity)
-                for i in range(walls, nodes):
+                for i in range(first, end):
+                    self.aqueous.kick(eye, i, kick_dt, self.cornea.velocity)
+                for i in range(walls_end, end):
                     self.aqueous.velocity[i] = self.aqueous.candidate[i]
-                self._match_wall(dt)
-                for i in range(nodes):
+                self._match_wall(eye, dt)
+                for i in range(first, end):
                     self.aqueous.find_velocity_gradient(i)
-                for i in range(nodes):
-                    self.aqueous.compress(i, dt, self.wall_velocity)
-                for i in range(walls):
-                    self._end_cornea_step(i, dt)
-                self._settle_pressure()
+                for i in range(first, end):
+                    self.aqueous.compress(eye, i, dt, self.wall_velocity)
+                for i in range(first, walls_end):
+                    self._end_cornea_step(eye, i, dt)
+                self._settle_pressure(eye)
 
     @ti.kernel
-    def _step_in_parallel(self, puff: float, dt: float, kick_dt: float):
+    def _march(self, pace: ti.types.ndarray(), puff: ti.types.ndarray()):
         ti.loop_config(serialize=True)
-        for once in range(1):
-            self._move_cornea(puff, dt)
-        for i in range(self.aqueous.count[None]):
-            self.aqueous.find_pressure_gradient(i)
-        for i in range(self.aqueous.count[None]):
-            self.aqueous.kick(i, kick_dt, self.cornea.velocity)
-        for i in range(self.aqueous.wall_count[None], self.aqueous.count[None]):
-            self.aqueous.velocity[i] = self.aqueous.candidate[i]
-        ti.loop_config(serialize=True)
-        for once in range(1):
-            self._match_wall(dt)
-        for i in range(self.aqueous.count[None]):
-            self.aqueous.find_velocity_gradient(i)
-        for i in range(self.aqueous.count[None]):
-            self.aqueous.compress(i, dt, self.wall_velocity)
-        ti.loop_config(serialize=True)
-        for once in range(1):
-            for i in range(self.aqueous.wall_count[None]):
-                self._end_cornea_step(i, dt)
-            self._settle_pressure()
+        for k in range(pace.shape[0]):
+            self.march(int(pace[k, 0]), k, pace, puff)
+
+    @ti.kernel
+    def _step_in_parallel(self, pace: ti.types.ndarray()):
+        # pace [eyes, 3]: the puff [Pa], the step and the kick's step [s]; a step of 0 is none
+        for eye in range(pace.shape[0]):
+            self.going[eye] = 0
+            if pace[eye, 1] > 0.0 and self.status[eye] == RUNNING:
+                self.going[eye], self.dt[eye], self.kick_dt[eye] = 1, float(pace[eye, 1]), float(pace[eye, 2])
+                self._move_cornea(eye, float(pace[eye, 0]), self.dt[eye])
+        for i in range(self.aqueous.neighbours.total[None]):
+            if self.going[self.aqueous.neighbours.eye_of[i]] == 1:
+                self.aqueous.find_pressure_gradient(i)
+        for i in range(self.aqueous.neighbours.total[None]):
+            eye = self.aqueous.neighbours.eye_of[i]
+            if self.going[eye] == 1:
+                self.aqueous.kick(eye, i, self.kick_dt[eye], self.cornea.velocity)
+        for i in range(self.aqueous.neighbours.total[None]):
+            eye = self.aqueous.neighbours.eye_of[i]
+            if self.going[eye] == 1 and i >= self.aqueous.first[eye] + self.aqueous.wall_count[eye]:
+                self.aqueous.velocity[i] = self.aqueous.candidate[i]
+        for eye in range(pace.shape[0]):
+            if self.going[eye] == 1:
+                self._match_wall(eye, self.dt[eye])
+        for i in range(self.aqueous.neighbours.total[None]):
+            if self.going[self.aqueous.neighbours.eye_of[i]] == 1:
+                self.aqueous.find_velocity_gradient(i)
+        for i in range(self.aqueous.neighbours.total[None]):
+            eye = self.aqueous.neighbours.eye_of[i]
+            if self.going[eye] == 1:
+                self.aqueous.compress(eye, i, self.dt[eye], self.wall_velocity)
+        for eye in range(pace.shape[0]):
+            if self.going[eye] == 1:
+                for i in range(self.aqueous.first[eye], self.aqueous.first[eye] + self.aqueous.wall_count[eye]):
+                    self._end_cornea_step(eye, i, self.dt[eye])
+                self._settle_pressure(eye)

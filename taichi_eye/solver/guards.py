@@ -78,6 +78,19 @@ def check(figures: dict[str, float], energy_gain: float, largest_work: float, sc
                          "or use numerics.relaxation = \"aitken\".")
 
 
+def calm(figures, energy_gain, largest_work, condition_limit):
+    """Where `check` stops nothing: a bool for each of many eyes, whose figures, gains and works are arrays.
+
+    condition_limit: that of their basis; the viscous and the numerical loss are those of the figures.
+    """
+    allowed = ENERGY_SHARE * largest_work + ENERGY_FLOOR
+    churned = CHURN_SHARE * largest_work + ENERGY_FLOOR
+    return ((figures["least_stress"] > 0.0) & (figures["chamber_gap"] >= CLOSED) & (figures["flattest_triangle"] >= FLAT)
+            & (figures["worst_condition"] < CONDITION_GROWTH * condition_limit) & (figures["not_finite"] == 0.0)
+            & (energy_gain <= allowed) & (energy_gain + figures["viscous_loss"] <= allowed)
+            & (energy_gain + figures["numerical_loss"] <= churned) & (figures["coupling_status"] != NOT_CONVERGED))
+
+
 def _advice_unstable(scene) -> str:
     numerics, cornea = scene.numerics, scene.cornea
     advice = (f"Lower numerics.cfl (now {numerics.cfl:g}) or raise numerics.dissipation (now "

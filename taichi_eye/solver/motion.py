@@ -14,6 +14,12 @@ class Motion:
 
     @ti.kernel
     def move_nodes(self):
-        """Place every node according to the cornea's displacement above it."""
-        for i in range(self.aqueous.count[None]):
+        """Place every node of every eye according to the cornea's displacement above it."""
+        for i in range(self.aqueous.neighbours.total[None]):
+            self.aqueous.move_node(i, self.cornea.rest, self.cornea.place)
+
+    @ti.func
+    def move_eye(self, eye):
+        """The same for the nodes of one eye."""
+        for i in range(self.aqueous.first[eye], self.aqueous.first[eye] + self.aqueous.count[eye]):
             self.aqueous.move_node(i, self.cornea.rest, self.cornea.place)

@@ -81,7 +81,7 @@ class PotentialFlow:
         for i in range(interior.shape[0]):
             normal = ti.Vector([0.0, 1.0])
             if i < area.shape[0]:
-                ring = self.cornea.volume_gradient(i)
+                ring = self.cornea.volume_gradient(0, i)
                 if i == 0:
                     ring[0] = 0.0
                 area[i] = ring.norm()
@@ -137,7 +137,7 @@ class PotentialFlow:
 
     @ti.kernel
     def _lift(self, by: float):
-        for i in range(self.aqueous.count[None]):
+        for i in range(self.aqueous.count[0]):
             self.aqueous.pressure[i] += by
 
 
@@ -156,7 +156,7 @@ class LayerFlow:
 
     def refresh(self) -> None:
         """Recompute the map for the cornea's present place."""
-        count = self.cornea.elements[None] + 1
+        count = self.cornea.last[0] + 1
         place = self.cornea.place.to_numpy()[:count].astype(float)
         area = ring_areas(place)
         height = place[:, 1] - self.section.back_height(place[:, 0])

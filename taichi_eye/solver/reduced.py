@@ -18,10 +18,10 @@ from taichi_eye.eye.puff import Puff
 from taichi_eye.eye.section import Section
 from taichi_eye.eye.thickness import prestrain, thickness
 from taichi_eye.solver.aqueous import Aqueous
+from taichi_eye.solver.batch import SAMPLE_MS
 from taichi_eye.solver.cornea import Cornea
 from taichi_eye.solver.motion import Motion
 from taichi_eye.solver.potential import LayerFlow, PotentialFlow, ring_areas
-from taichi_eye.solver.simulation import SAMPLE_MS
 from taichi_eye.solver.wall_stepper import (CLOSED, FIGURES, GREW, NOT_FINITE, PUFF_ROWS, RUNNING, SLACK, WallStepper)
 from taichi_eye.solver.workspace import capacity, reuse
 from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS

@@ -23,113 +23,126 @@ QUANTITIES = (
 
 @ti.data_oriented
 class Survey:
-    """Measures the state of a coupled pair into one row of named figures."""
+    """Measures the state of coupled pairs into rows of named figures, one for each eye; nodes count from the eye's first."""
 
     def __init__(self, cornea: Cornea, aqueous: Aqueous, coupling: Coupling):
         self.cornea, self.aqueous, self.coupling = cornea, aqueous, coupling
-        self.row = ti.field(real(), len(QUANTITIES))
+        eyes = cornea.first.shape[0]
         self.built_place = ti.Vector.field(2, real(), cornea.capacity)
-        self.rest_energy, self.back = ti.field(real(), ()), ti.field(real(), cornea.capacity)
+        self.rest_energy, self.back = ti.field(real(), eyes), ti.field(real(), cornea.capacity)
 
     def take(self) -> dict[str, float]:
-        """All figures by name."""
-        self._measure()
-        return dict(zip(QUANTITIES, self.row.to_numpy().tolist()))
+        """All figures of eye 0 by name."""
+        row = np.zeros((1, len(QUANTITIES)))
+        self.measure(np.zeros(1, dtype=np.int32), row)
+        return dict(zip(QUANTITIES, row[0].tolist()))
 
-    def remember_rest(self, back_height) -> None:
-        """Take the present state as rest; back_height [wall nodes]: z of the rigid back below each [m]."""
-        self._remember_rest(np.asarray(back_height, dtype=float))
+    def measure(self, eyes, rows) -> None:
+        """Put the figures of `eyes` (int32) into their rows of rows [eyes, quantities]."""
+        self._measure(eyes, rows)
+
+    def remember_rest(self, back_height, eye: int = 0) -> None:
+        """Take the present state of an eye as rest; back_height [wall nodes]: z of the rigid back below each [m]."""
+        self._remember_rest(np.asarray(back_height, dtype=float), eye)
 
     @ti.kernel
-    def _remember_rest(self, back_height: ti.types.ndarray()):
-        for i in range(self.aqueous.wall_count[None]):
-            self.back[i] = back_height[i]
+    def _remember_rest(self, back_height: ti.types.ndarray(), eye: int):
+        for n in range(self.aqueous.wall_count[eye]):
+            i = self.aqueous.first[eye] + n
+            self.back[i] = back_height[n]
             self.built_place[i] = self.cornea.place[i]
         ti.loop_config(serialize=True)
         for once in range(1):
-            self.rest_energy[None] = self.cornea.elastic_energy()
-            self.coupling.rest_enclosed[None] = self.cornea.enclosed_volume()
+            self.rest_energy[eye] = self.cornea.elastic_energy(eye)
+            self.coupling.rest_enclosed[eye] = self.cornea.enclosed_volume(eye)
 
     @ti.kernel
-    def remember_build(self):
-        """Take the present wall as the one that the operator weights belong to."""
-        for i in range(self.aqueous.wall_count[None]):
-            self.built_place[i] = self.cornea.place[i]
+    def remember_build(self, due: ti.types.ndarray()):
+        """Take the present wall as the one that the operator weights belong to, for the eyes in the mask `due` [eyes]."""
+        for eye in range(due.shape[0]):
+            if due[eye] == 1:
+                for i in range(self.aqueous.first[eye], self.aqueous.first[eye] + self.aqueous.wall_count[eye]):
+                    self.built_place[i] = self.cornea.place[i]
 
     @ti.kernel
-    def _measure(self):
-        ti.loop_config(serialize=True)
-        for once in range(1):
-            walls, nodes = self.aqueous.wall_count[None], self.aqueous.count[None]
-            rest_volume = self.aqueous.rest_volume[None]
-            volume = self.coupling.chamber_volume()
-            kinetic, elastic = self.aqueous.energies(volume)
-            viscous, numerical, carried, pressure_volume, total_volume = 0.0, 0.0, 0.0, 0.0, 0.0
-            bad, ill, worst = -1, 0, 0.0
-            gap, heaviest = ti.math.inf, 0.0
-            for i in range(nodes):
-                viscous += self.aqueous.viscous_loss[i]
-                pressure_volume += self.aqueous.volume[i] * self.aqueous.pressure[i]
-                total_volume += self.aqueous.volume[i]
-                numerical += self.aqueous.numerical_loss[i]
-                carried += self.aqueous.outflow_loss[i]
-                sum = self.aqueous.pressure[i] + self.aqueous.velocity[i].sum()
-                if bad < 0 and (ti.math.isnan(sum) or ti.math.isinf(sum)):
-                    bad = i
-                if self.aqueous.operators.condition[i] > worst or ti.math.isnan(self.aqueous.operators.condition[i]):
-                    worst, ill = self.aqueous.operators.condition[i], i
-                pairs = 0.0
-                for k in range(self.aqueous.smoother.size[i]):
-                    pairs += self.aqueous.smoother.pair_weight[i, k]
-                heaviest = ti.max(heaviest, pairs)
-                for k in range(self.aqueous.operators.size[i]):
-                    entry = self.aqueous.neighbours.entry[i, k]
-                    if entry >= 0:
-                        gap = ti.min(gap, (self.aqueous.place[entry] - self.aqueous.place[i]).norm_sqr())
-            flattest, flat = ti.math.inf, 0
-            for t in range(self.aqueous.triangle_count[None]):
-                share = self.aqueous.triangle_area(t) / self.aqueous.rest_area[t]
-                if share < flattest:
-                    flattest, flat = share, self.aqueous.triangle[t, 0]
-            least, slackest = ti.math.inf, 0
-            in_plane, transverse, step = 0.0, 0.0, ti.math.inf
-            density = self.cornea.mass[1] / (0.5 * (self.cornea.element_volume[0] + self.cornea.element_volume[1]))
-            for k in range(walls - 1):
-                strain = self.cornea.strain_of(k)
-                stress, energy = self.cornea.stress_of(strain, self.cornea.prestrain[k])
-                if ti.min(stress[0], stress[1]) < least:
-                    least, slackest = ti.min(stress[0], stress[1]), k
-                s, nu = self.cornea.material[1], self.cornea.material[2]
-                grown = 2.0 * s * (energy + self.cornea.material[0])
-                slope = (1.0 - nu) * strain[0] + nu * (strain[0] + strain[1])
-                stretch_squared = 2.0 * (strain[0] - self.cornea.prestrain[k]) + 1.0
-                stiffness = grown * (1.0 + 2.0 * s * slope * slope) * stretch_squared + stress[0]
-                speed = ti.sqrt(ti.max(stiffness, 0.0) / density)
-                in_plane = ti.max(in_plane, speed)
-                transverse = ti.max(transverse, ti.sqrt(ti.max(stress[0], 0.0) / density))
-                step = ti.min(step, self.cornea.element_length[k] / ti.max(speed, 1e-6))
-            room, near, travel = ti.math.inf, 0, 0.0
-            for i in range(walls - 1):
-                above = (self.cornea.place[i][1] - self.back[i]) / (self.cornea.rest[i][1] - self.back[i])
-                if above < room:
-                    room, near = above, i
-                travel = ti.max(travel, (self.cornea.place[i] - self.built_place[i]).norm())
-                sum = self.cornea.place[i].sum() + self.cornea.velocity[i].sum()
-                if bad < 0 and (ti.math.isnan(sum) or ti.math.isinf(sum)):
-                    bad = i
-            # of the liquid's mean excess pressure: the volume that the rest of the globe has taken up
-            mean = pressure_volume / total_volume
-            yielded = self.aqueous.compliance[None] * mean
-            figures = ((
-                self.cornea.place[0][1], self.cornea.velocity[0][1],
-                self.cornea.iop[None] + self.aqueous.pressure[0], (volume + yielded) / rest_volume - 1.0,
-                self.cornea.puff_work[None],
-                self.cornea.elastic_energy() - self.rest_energy[None], self.cornea.kinetic_energy(), kinetic,
-                elastic + self.cornea.iop[None] * (rest_volume - volume) + 0.5 * yielded * mean, viscous, numerical,
-                carried, least, slackest, in_plane, transverse, step, ti.sqrt(gap), flattest, flat, heaviest, worst, ill, room, near,
-                ti.select(bad >= 0, 1.0, 0.0), bad, travel, self.coupling.sweeps[None], self.coupling.worst_residual[None],
-                self.coupling.status[None]))
-            for q in ti.static(range(len(QUANTITIES))):
-                self.row[q] = figures[q]
-            self.coupling.sweeps[None] = 0
-            self.coupling.worst_residual[None] = 0.0
+    def _measure(self, eyes: ti.types.ndarray(), rows: ti.types.ndarray()):
+        # an eye to a thread
+        for n in range(eyes.shape[0]):
+            self.measure_eye(eyes[n], rows)
+
+    @ti.func
+    def measure_eye(self, eye, rows: ti.template()):
+        """Put the figures of an eye into its row."""
+        first, walls, nodes = self.aqueous.first[eye], self.aqueous.wall_count[eye], self.aqueous.count[eye]
+        rest_volume = self.aqueous.rest_volume[eye]
+        volume = self.coupling.chamber_volume(eye)
+        kinetic, elastic = self.aqueous.energies(eye, volume)
+        viscous, numerical, carried, pressure_volume, total_volume = 0.0, 0.0, 0.0, 0.0, 0.0
+        bad, ill, worst = -1, first, 0.0
+        gap, heaviest = ti.math.inf, 0.0
+        for i in range(first, first + nodes):
+            viscous += self.aqueous.viscous_loss[i]
+            pressure_volume += self.aqueous.volume[i] * self.aqueous.pressure[i]
+            total_volume += self.aqueous.volume[i]
+            numerical += self.aqueous.numerical_loss[i]
+            carried += self.aqueous.outflow_loss[i]
+            sum = self.aqueous.pressure[i] + self.aqueous.velocity[i].sum()
+            if bad < 0 and (ti.math.isnan(sum) or ti.math.isinf(sum)):
+                bad = i
+            if self.aqueous.operators.condition[i] > worst or ti.math.isnan(self.aqueous.operators.condition[i]):
+                worst, ill = self.aqueous.operators.condition[i], i
+            pairs = 0.0
+            for k in range(self.aqueous.smoother.size[i]):
+                pairs += self.aqueous.smoother.pair_weight[i, k]
+            heaviest = ti.max(heaviest, pairs)
+            for k in range(self.aqueous.operators.size[i]):
+                entry = self.aqueous.neighbours.entry[i, k]
+                if entry >= 0:
+                    gap = ti.min(gap, (self.aqueous.place[entry] - self.aqueous.place[i]).norm_sqr())
+        flattest, flat = ti.math.inf, first
+        for t in range(2 * first, 2 * first + self.aqueous.triangle_count[eye]):
+            share = self.aqueous.triangle_area(t) / self.aqueous.rest_area[t]
+            if share < flattest:
+                flattest, flat = share, self.aqueous.triangle[t, 0]
+        least, slackest = ti.math.inf, first
+        in_plane, transverse, step = 0.0, 0.0, ti.math.inf
+        density = self.cornea.mass[first + 1] / (0.5 * (self.cornea.element_volume[first] + self.cornea.element_volume[first + 1]))
+        for k in range(first, first + walls - 1):
+            strain = self.cornea.strain_of(k)
+            stress, energy = self.cornea.stress_of(eye, strain, self.cornea.prestrain[k])
+            if ti.min(stress[0], stress[1]) < least:
+                least, slackest = ti.min(stress[0], stress[1]), k
+            s, nu = self.cornea.material[eye, 1], self.cornea.material[eye, 2]
+            grown = 2.0 * s * (energy + self.cornea.material[eye, 0])
+            slope = (1.0 - nu) * strain[0] + nu * (strain[0] + strain[1])
+            stretch_squared = 2.0 * (strain[0] - self.cornea.prestrain[k]) + 1.0
+            stiffness = grown * (1.0 + 2.0 * s * slope * slope) * stretch_squared + stress[0]
+            speed = ti.sqrt(ti.max(stiffness, 0.0) / density)
+            in_plane = ti.max(in_plane, speed)
+            transverse = ti.max(transverse, ti.sqrt(ti.max(stress[0], 0.0) / density))
+            step = ti.min(step, self.cornea.element_length[k] / ti.max(speed, 1e-6))
+        room, near, travel = ti.math.inf, first, 0.0
+        for i in range(first, first + walls - 1):
+            above = (self.cornea.place[i][1] - self.back[i]) / (self.cornea.rest[i][1] - self.back[i])
+            if above < room:
+                room, near = above, i
+            travel = ti.max(travel, (self.cornea.place[i] - self.built_place[i]).norm())
+            sum = self.cornea.place[i].sum() + self.cornea.velocity[i].sum()
+            if bad < 0 and (ti.math.isnan(sum) or ti.math.isinf(sum)):
+                bad = i
+        # of the liquid's mean excess pressure: the volume that the rest of the globe has taken up
+        mean = pressure_volume / total_volume
+        yielded = self.aqueous.compliance[eye] * mean
+        figures = ((
+            self.cornea.place[first][1], self.cornea.velocity[first][1],
+            self.cornea.iop[eye] + self.aqueous.pressure[first], (volume + yielded) / rest_volume - 1.0,
+            self.cornea.puff_work[eye],
+            self.cornea.elastic_energy(eye) - self.rest_energy[eye], self.cornea.kinetic_energy(eye), kinetic,
+            elastic + self.cornea.iop[eye] * (rest_volume - volume) + 0.5 * yielded * mean, viscous, numerical,
+            carried, least, slackest - first, in_plane, transverse, step, ti.sqrt(gap), flattest, flat - first, heaviest, worst,
+            ill - first, room, near - first, ti.select(bad >= 0, 1.0, 0.0), ti.max(bad - first, -1), travel, self.coupling.sweeps[eye], self.coupling.worst_residual[eye],
+            self.coupling.status[eye]))
+        for q in ti.static(range(len(QUANTITIES))):
+            rows[eye, q] = figures[q]
+        self.coupling.sweeps[eye] = 0
+        self.coupling.worst_residual[eye] = 0.0

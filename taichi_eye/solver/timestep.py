@@ -19,24 +19,54 @@ dissipation.
 """
 import math
 
+import numpy as np
+
+
+class StepLimits:
+    """The limits of several resolved scenes together, arrays over the scenes."""
+
+    def __init__(self, scenes):
+        rows = [self._constants(scene) for scene in scenes]
+        (self.speed, self.spread, self.damping, self.friction, self.stiff_root, self.inertia, self.density,
+         self.cfl) = np.array(rows).T
+
+    @staticmethod
+    def _constants(scene):
+        numerics, cornea = scene.numerics, scene.cornea
+        c, alpha, spacing = numerics.sound_speed_m_s, numerics.dissipation, numerics.spacing_mm
+        wall_mass = cornea.density_kg_m3 * min(cornea.thickness_mm, cornea.limbus_thickness_mm) * 1e-3
+        thickest = max(cornea.thickness_mm, cornea.limbus_thickness_mm) * 1e-3
+        rigidity = cornea.flexural_modulus_mpa * 1e6 * thickest**3 / (12.0 * (1.0 - cornea.poisson_ratio**2))
+        return (c, 0.72 * alpha * spacing * 1e-3, alpha * c * spacing * 1e-3, 4.0 * (scene.aqueous.viscosity_mpa_s * 1e-3),
+                math.sqrt(wall_mass / rigidity) if rigidity > 0.0 else math.inf, wall_mass,
+                scene.aqueous.density_kg_m3, numerics.cfl)
+
+    def of(self, figures) -> dict[str, np.ndarray]:
+        """All limits [s] by name, from a survey's figures (arrays over the scenes)."""
+        gap = figures["smallest_gap"]
+        length = figures["membrane_step"] * figures["membrane_speed"]
+        with np.errstate(divide="ignore"):  # without viscosity there is no limit by it
+            return {
+                "acoustic": gap / (self.speed * (0.6 + self.spread / gap)),
+                "dissipation": 0.55 / np.maximum(self.damping * figures["pair_weight"], 1e-30),
+                "viscous": gap**2 * self.density / self.friction,
+                "membrane in plane": figures["membrane_step"],
+                "membrane transverse": length / np.maximum(figures["transverse_speed"], 1e-9),
+                "membrane bending": 0.5 * length**2 * self.stiff_root,
+                "coupling": np.sqrt(gap * self.inertia / self.density) / self.speed,
+            }
+
+    def stable_steps(self, figures) -> tuple[np.ndarray, np.ndarray]:
+        """The steps to take [s] and the names of the limits that set them, one for each scene."""
+        every = self.of(figures)
+        table = np.array(list(every.values()))
+        least = table.argmin(0)
+        return self.cfl * table[least, np.arange(len(least))], np.array(list(every), dtype=object)[least]
+
 
 def limits(figures: dict[str, float], scene) -> dict[str, float]:
     """All limits [s] by name, from a survey's figures and a resolved scene."""
-    gap, numerics = figures["smallest_gap"], scene.numerics
-    c, rho, mu = numerics.sound_speed_m_s, scene.aqueous.density_kg_m3, scene.aqueous.viscosity_mpa_s * 1e-3
-    wall_mass = scene.cornea.density_kg_m3 * min(scene.cornea.thickness_mm, scene.cornea.limbus_thickness_mm) * 1e-3
-    length = figures["membrane_step"] * figures["membrane_speed"]
-    thickest = max(scene.cornea.thickness_mm, scene.cornea.limbus_thickness_mm) * 1e-3
-    rigidity = scene.cornea.flexural_modulus_mpa * 1e6 * thickest**3 / (12.0 * (1.0 - scene.cornea.poisson_ratio**2))
-    return {
-        "acoustic": gap / (c * (0.6 + 0.72 * numerics.dissipation * numerics.spacing_mm * 1e-3 / gap)),
-        "dissipation": 0.55 / max(numerics.dissipation * c * numerics.spacing_mm * 1e-3 * figures["pair_weight"], 1e-30),
-        "viscous": gap**2 * rho / (4.0 * mu) if mu > 0.0 else math.inf,
-        "membrane in plane": figures["membrane_step"],
-        "membrane transverse": length / max(figures["transverse_speed"], 1e-9),
-        "membrane bending": 0.5 * length**2 * math.sqrt(wall_mass / rigidity) if rigidity > 0.0 else math.inf,
-        "coupling": math.sqrt(gap * wall_mass / rho) / c,
-    }
+    return {name: float(np.ravel(values)[0]) for name, values in StepLimits([scene]).of(figures).items()}
 
 
 def stable_step(figures: dict[str, float], scene) -> tuple[float, str]:

@@ -66,17 +66,17 @@ class WallStepper:
         self.compliance[None], self.rest_volume[None], self.density[None] = compliance, volume, density
         self.mean_pressure[None], self.last_dt[None], self.largest_work[None] = 0.0, 0.0, 0.0
         self.bending_step[None] = bending_step
-        for i in range(self.cornea.elements[None] + 1):
+        for i in range(self.cornea.last[0] + 1):
             zero = ti.Vector([0.0, 0.0])
             self.back[i] = back[i]
             self.pressure[i], self.unit_pressure[i], self.quadratic[i], self.flux_rate[i] = 0.0, sealed, 0.0, 0.0
             self.moved[i], self.travel_from[i] = zero, self.cornea.place[i]
-            self.ring[i] = self.cornea.held(i, self.cornea.volume_gradient(i))
+            self.ring[i] = self.cornea.held(0, i, self.cornea.volume_gradient(0, i))
             self.ring_before[i] = self.ring[i]
         ti.loop_config(serialize=True)
         for once in range(1):
-            self.rest_enclosed[None] = self.cornea.enclosed_volume()
-            self.rest_energy[None] = self.cornea.elastic_energy()
+            self.rest_enclosed[None] = self.cornea.enclosed_volume(0)
+            self.rest_energy[None] = self.cornea.elastic_energy(0)
 
     @ti.kernel
     def load_flow(self, neumann: ti.types.ndarray(), inverse: ti.types.ndarray(), rate: ti.types.ndarray(),
@@ -94,8 +94,8 @@ class WallStepper:
         """The step limit [s] of the membrane's waves now."""
         step = ti.math.inf
         shortest = ti.math.inf
-        for k in range(self.cornea.elements[None]):
-            in_plane, transverse = self.cornea.wave_speeds(k)
+        for k in range(self.cornea.last[0]):
+            in_plane, transverse = self.cornea.wave_speeds(0, k)
             length = self.cornea.element_length[k]
             step = ti.min(step, length / ti.max(ti.max(in_plane, transverse), 1e-6))
             shortest = ti.min(shortest, length)
@@ -104,7 +104,7 @@ class WallStepper:
     @ti.func
     def _volume_at(self, place: ti.template()):
         volume = 0.0
-        for k in range(self.cornea.elements[None]):
+        for k in range(self.cornea.last[0]):
             a, b = place[k], place[k + 1]
             volume += ti.math.pi * (0.5 * (a[0] + b[0])) ** 2 * (a[1] - b[1])
         return volume + self.rest_volume[None] - self.rest_enclosed[None]
@@ -112,26 +112,26 @@ class WallStepper:
     @ti.func
     def _collect(self, puff):
         """Forces on the rings at the present place, without the liquid's excess pressure."""
-        count = self.cornea.elements[None]
+        count = self.cornea.last[0]
         for k in range(count):
-            self.cornea.stretch_element(k)
+            self.cornea.stretch_element(0, k)
         work = 0.0
         for i in range(count):
             self.cornea.air_pressure[i] = puff * self.cornea.load_shape[i]
-            ring = self.cornea.volume_gradient(i)
-            solid = self.cornea.elastic_force(i) + self.cornea.iop[None] * ring - self.cornea.residual[i]
+            ring = self.cornea.volume_gradient(0, i)
+            solid = self.cornea.elastic_force(0, i) + self.cornea.iop[0] * ring - self.cornea.residual[i]
             air = -self.cornea.air_pressure[i] * ring
             work += 0.5 * (self.cornea.force_air[i] + air).dot(self.moved[i])
             self.cornea.force_solid[i], self.cornea.force_air[i] = solid, air
             self.ring_before[i] = self.ring[i]
-            self.ring[i] = self.cornea.held(i, ring)
-            self.free[i] = self.cornea.held(i, (solid + air) / self.cornea.mass[i])
-        self.cornea.puff_work[None] += work
+            self.ring[i] = self.cornea.held(0, i, ring)
+            self.free[i] = self.cornea.held(0, i, (solid + air) / self.cornea.mass[i])
+        self.cornea.puff_work[0] += work
 
     @ti.func
     def _flow_pressure(self, dt_before):
         """The excess pressure on the wall at the p0 of the last step: one sweep from the pressure of that step."""
-        count = self.cornea.elements[None]
+        count = self.cornea.last[0]
         for i in range(count):
             turning = (self.ring[i] - self.ring_before[i]).dot(self.cornea.velocity[i]) / dt_before
             mobility = self.ring[i].norm_sqr() / self.cornea.mass[i]
@@ -150,7 +150,7 @@ class WallStepper:
     @ti.func
     def _smooth(self, field: ti.template()):
         """(1, 2, 1)/4 along the wall, mirrored at the axis: removes what alternates from node to node."""
-        count = self.cornea.elements[None]
+        count = self.cornea.last[0]
         behind = field[1]
         for i in range(count):
             here = field[i]
@@ -161,7 +161,7 @@ class WallStepper:
     @ti.func
     def _find_quadratic(self):
         """dN/dt Q + (phi_s^2 - v_n^2)/2 - v_s phi_s on the wall, smoothed; phi goes into `defect`."""
-        count = self.cornea.elements[None]
+        count = self.cornea.last[0]
         for i in range(count):
             self.across[i] = self.cornea.velocity[i].dot(self.ring[i].normalized())
         for once in ti.static(range(SMOOTHINGS)):
@@ -188,7 +188,7 @@ class WallStepper:
 
     @ti.func
     def _step(self, puff, dt, kick, dt_before):
-        count = self.cornea.elements[None]
+        count = self.cornea.last[0]
         self._collect(puff)
         if ti.static(self.flowing):
             self._flow_pressure(dt_before)
@@ -259,7 +259,7 @@ class WallStepper:
 
     @ti.func
     def _keep(self, frames: ti.template(), frame, half):
-        for i in range(self.cornea.elements[None] + 1):
+        for i in range(self.cornea.last[0] + 1):
             v = self.cornea.velocity[i] + half * self.cornea.acceleration[i]
             for k in ti.static(range(2)):
                 frames[frame, i, k] = self.cornea.place[i][k]
@@ -277,11 +277,11 @@ class WallStepper:
 
     @ti.func
     def _survey(self, record: ti.template(), row, half):
-        count = self.cornea.elements[None]
+        count = self.cornea.last[0]
         volume = self._volume_at(self.cornea.place)
         least, slackest, finite = ti.math.inf, 0, 1
         room, near = ti.math.inf, 0
-        kinetic, swept, work = 0.0, 0.0, self.cornea.puff_work[None]
+        kinetic, swept, work = 0.0, 0.0, self.cornea.puff_work[0]
         for i in range(count):
             stress = self.cornea.stress[i]
             if ti.min(stress[0], stress[1]) < least:
@@ -305,8 +305,8 @@ class WallStepper:
                     potential += self.neumann[i, j] * self.flux_rate[j]
                 swept += 0.5 * self.density[None] * self.flux_rate[i] * potential
         p0 = self.mean_pressure[None]
-        elastic = self.cornea.elastic_energy() - self.rest_energy[None]
-        stored = 0.5 * self.compliance[None] * p0 * p0 + self.cornea.iop[None] * (self.rest_volume[None] - volume)
+        elastic = self.cornea.elastic_energy(0) - self.rest_energy[None]
+        stored = 0.5 * self.compliance[None] * p0 * p0 + self.cornea.iop[0] * (self.rest_volume[None] - volume)
         self.largest_work[None] = ti.max(self.largest_work[None], ti.abs(work))
         gained = elastic + kinetic + swept + stored - work
         if finite == 0 or ti.math.isnan(gained):
@@ -319,7 +319,7 @@ class WallStepper:
             self.status[None] = GREW
         figures = ti.Vector([
             self.cornea.place[0][1], self.cornea.velocity[0][1] + half * self.cornea.acceleration[0][1],
-            self.cornea.iop[None] + self.pressure[0], volume / self.rest_volume[None] - 1.0,
+            self.cornea.iop[0] + self.pressure[0], volume / self.rest_volume[None] - 1.0,
             work, elastic, kinetic, swept, stored, least])
         for q in ti.static(range(len(FIGURES))):
             record[row, q] = figures[q]
@@ -327,13 +327,13 @@ class WallStepper:
     @ti.func
     def _age_maps(self, span):
         # the last known rate carries N on until the next refresh
-        for i in range(self.cornea.elements[None]):
-            for j in range(self.cornea.elements[None]):
+        for i in range(self.cornea.last[0]):
+            for j in range(self.cornea.last[0]):
                 self.neumann[i, j] += span * self.neumann_rate[i, j]
 
     @ti.func
     def _travel(self):
         farthest = 0.0
-        for i in range(self.cornea.elements[None]):
+        for i in range(self.cornea.last[0]):
             farthest = ti.max(farthest, (self.cornea.place[i] - self.travel_from[i]).norm())
         return farthest

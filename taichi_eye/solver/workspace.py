@@ -11,6 +11,7 @@ from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.cornea import Cornea
 from taichi_eye.solver.coupling import Coupling
 from taichi_eye.solver.motion import Motion
+from taichi_eye.solver.sample import Sampler
 from taichi_eye.solver.survey import Survey
 
 SMALLEST = 2048  # nodes: scenes below share one set of kernels, in this process and in the offline cache
@@ -19,14 +20,18 @@ _free: dict[tuple, list] = {}
 
 
 class Workspace:
-    """Cornea, aqueous humour and what steps and measures them, for up to `nodes` nodes."""
+    """Corneas, aqueous humours and what steps and measures them, for up to `nodes` nodes of up to `eyes` eyes.
 
-    def __init__(self, nodes: int, walls: int, basis: str):
-        self.cornea = Cornea(walls)
-        self.aqueous = Aqueous(nodes, basis)
+    Both are indexed alike, so the cornea's fields are as long as the liquid's, though it fills the start of each eye only.
+    """
+
+    def __init__(self, nodes: int, eyes: int, basis: str):
+        self.cornea = Cornea(nodes, eyes=eyes)
+        self.aqueous = Aqueous(nodes, basis, eyes=eyes)
         self.coupling = Coupling(self.cornea, self.aqueous)
         self.motion = Motion(self.cornea, self.aqueous)
         self.survey = Survey(self.cornea, self.aqueous, self.coupling)
+        self.sampler = Sampler(self.coupling, self.motion, self.survey)
 
 
 def capacity(count: int, smallest: int = SMALLEST) -> int:
@@ -45,7 +50,7 @@ def reuse(holder, kind: tuple, make):
     return workspace
 
 
-def borrow(holder, nodes: int, walls: int, basis: str) -> Workspace:
-    """A workspace for `nodes` nodes, `walls` of them on the cornea; free again once `holder` is gone."""
-    sizes = capacity(nodes), capacity(walls)
+def borrow(holder, nodes: int, eyes: int, basis: str) -> Workspace:
+    """A workspace for `nodes` nodes of `eyes` eyes; free again once `holder` is gone."""
+    sizes = capacity(nodes), capacity(eyes, 1)
     return reuse(holder, (backend.generation(), *sizes, basis), lambda: Workspace(*sizes, basis))

@@ -29,12 +29,12 @@ class Lists:
 
     @ti.kernel
     def _take(self, wanted: int):
-        for i in range(self.lists.count[None]):
+        for i in range(self.lists.count[0]):
             self.taken[i] = self.lists.with_ties(i, wanted)
 
     def with_ties(self, wanted):
         self._take(wanted)
-        return self.taken.to_numpy()[:self.lists.count[None]]
+        return self.taken.to_numpy()[:self.lists.count[0]]
 
 
 @pytest.fixture(scope="module")

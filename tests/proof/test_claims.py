@@ -80,7 +80,7 @@ def simulate(*overrides):
     mean = []
 
     def look(_):
-        count = simulation.aqueous.nodes
+        count = simulation.cloud.count
         volume = simulation.aqueous.volume.to_numpy()[:count]
         mean.append(float((volume * simulation.aqueous.pressure.to_numpy()[:count]).sum() / volume.sum()))
 

@@ -31,20 +31,12 @@ def run_eye(*overrides):
     """Run the coarse eye from rest with some keys overridden."""
     scene = load_scene(None, COARSE + overrides)
     run, simulation = Run(scene), Simulation(scene)
-    survey = simulation.survey
-    take = survey.take
-
-    def watched():
-        run.figures.append(take())
-        return run.figures[-1]
-
-    survey.take = watched
+    keep = lambda eye: run.figures.append(eye.batch.figures(0))
     try:
-        simulation.run()
+        simulation.run(on_sample=keep)
     except RunStopped as stop:
+        keep(simulation)
         run.stop = stop.with_traceback(None)
-    finally:
-        del survey.take  # what is left is the method of its class
     run.traces = simulation.arrays()
     run.steps, run.step_limit, run.rebuilds = simulation.steps, simulation.step_limit, simulation.rebuilds
     run.cloud, aqueous, cornea = simulation.cloud, simulation.aqueous, simulation.cornea

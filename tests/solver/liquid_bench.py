@@ -55,19 +55,19 @@ class Liquid:
 
     @ti.kernel
     def _carry(self):
-        for i in range(self.aqueous.count[None]):
+        for i in range(self.aqueous.count[0]):
             self.aqueous.move_node(i, self.wall_rest, self.wall_place)
 
     @ti.kernel
     def _differentiate(self):
-        for i in range(self.aqueous.count[None]):
+        for i in range(self.aqueous.count[0]):
             self.aqueous.find_pressure_gradient(i)
             self.aqueous.find_velocity_gradient(i)
 
     @ti.kernel
     def _kick(self, dt: float):
-        for i in range(self.aqueous.count[None]):
-            self.aqueous.kick(i, dt, self.wall_velocity)
+        for i in range(self.aqueous.count[0]):
+            self.aqueous.kick(0, i, dt, self.wall_velocity)
 
     def kick(self, dt):
         """The candidate velocities."""
@@ -76,8 +76,8 @@ class Liquid:
 
     @ti.kernel
     def _meet(self):
-        for i in range(self.aqueous.wall_count[None]):
-            self.vector[i] = self.aqueous.meet_wall(i, self.wall_place, self.wall_velocity[i])
+        for i in range(self.aqueous.wall_count[0]):
+            self.vector[i] = self.aqueous.meet_wall(0, i, self.wall_place, self.wall_velocity[i])
 
     def meet(self, candidate, wall_velocity):
         """Velocities of the wall nodes from candidates and the cornea's velocities there."""
@@ -88,8 +88,8 @@ class Liquid:
 
     @ti.kernel
     def _rate(self):
-        for i in range(self.aqueous.count[None]):
-            self.scalar[i] = self.aqueous.pressure_rate(i, self.aqueous.divergence[i], self.wall_velocity)
+        for i in range(self.aqueous.count[0]):
+            self.scalar[i] = self.aqueous.pressure_rate(0, i, self.aqueous.divergence[i], self.wall_velocity)
 
     def pressure_rate(self):
         self._rate()
@@ -97,7 +97,7 @@ class Liquid:
 
     @ti.kernel
     def _dissipate(self):
-        for i in range(self.aqueous.count[None]):
+        for i in range(self.aqueous.count[0]):
             self.scalar[i], self.vector[i] = self.aqueous.dissipation_at(i)
 
     def dissipation(self):
@@ -109,9 +109,9 @@ class Liquid:
     def _weigh(self, volume: float):
         ti.loop_config(serialize=True)
         for once in range(1):
-            kinetic, elastic = self.aqueous.energies(volume)
+            kinetic, elastic = self.aqueous.energies(0, volume)
             self.number[0], self.number[1] = kinetic, elastic
-            self.number[2] = self.aqueous.missing_pressure(volume)
+            self.number[2] = self.aqueous.missing_pressure(0, volume)
 
     def kinetic_elastic_missing(self, volume):
         self._weigh(volume)

@@ -20,15 +20,15 @@ class Probe:
     def measure(self) -> ti.f64:
         ti.loop_config(serialize=True)
         for k in range(ELEMENTS):
-            self.cornea.stretch_element(k)
+            self.cornea.stretch_element(0, k)
         ti.loop_config(serialize=True)
         for i in range(ELEMENTS + 1):
-            self.force[i] = self.cornea.elastic_force(i) - self.cornea.residual[i]
-        return self.cornea.elastic_energy()
+            self.force[i] = self.cornea.elastic_force(0, i) - self.cornea.residual[i]
+        return self.cornea.elastic_energy(0)
 
     @ti.kernel
     def bending(self) -> ti.f64:
-        return self.cornea.bending_energy()
+        return self.cornea.bending_energy(0)
 
 
 @pytest.fixture(scope="module")

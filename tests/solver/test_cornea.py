@@ -41,10 +41,10 @@ class Membrane:
 
     @ti.kernel
     def _elastic_forces(self):
-        for k in range(self.cornea.elements[None]):
-            self.cornea.stretch_element(k)
-        for i in range(self.cornea.elements[None] + 1):
-            self.out[i] = self.cornea.elastic_force(i)
+        for k in range(self.cornea.last[0]):
+            self.cornea.stretch_element(0, k)
+        for i in range(self.cornea.last[0] + 1):
+            self.out[i] = self.cornea.elastic_force(0, i)
 
     def elastic_forces(self):
         self._elastic_forces()
@@ -52,8 +52,8 @@ class Membrane:
 
     @ti.kernel
     def _area_vectors(self):
-        for i in range(self.cornea.elements[None] + 1):
-            self.out[i] = self.cornea.volume_gradient(i)
+        for i in range(self.cornea.last[0] + 1):
+            self.out[i] = self.cornea.volume_gradient(0, i)
 
     def area_vectors(self):
         self._area_vectors()
@@ -63,9 +63,9 @@ class Membrane:
     def _measure(self):
         ti.loop_config(serialize=True)
         for once in range(1):
-            self.number[0] = self.cornea.elastic_energy()
-            self.number[1] = self.cornea.enclosed_volume()
-            self.number[2] = self.cornea.kinetic_energy()
+            self.number[0] = self.cornea.elastic_energy(0)
+            self.number[1] = self.cornea.enclosed_volume(0)
+            self.number[2] = self.cornea.kinetic_energy(0)
 
     def energy_volume_kinetic(self):
         self._measure()
@@ -76,15 +76,15 @@ class Membrane:
         """Newmark steps under the constant IOP, no fluid."""
         ti.loop_config(serialize=True)
         for step in range(steps):
-            last = self.cornea.elements[None]
+            last = self.cornea.last[0]
             for i in range(last + 1):
-                self.cornea.predict(i, dt)
+                self.cornea.predict(0, i, dt)
             for k in range(last):
-                self.cornea.stretch_element(k)
+                self.cornea.stretch_element(0, k)
             for i in range(last + 1):
-                self.cornea.collect_forces(i)
+                self.cornea.collect_forces(0, i)
                 force = self.cornea.force_solid[i] + self.cornea.force_air[i]
-                new = self.cornea.held(i, force / self.cornea.mass[i])
+                new = self.cornea.held(0, i, force / self.cornea.mass[i])
                 self.cornea.velocity[i] += 0.5 * dt * (self.cornea.acceleration[i] + new)
                 self.cornea.acceleration[i] = new
 

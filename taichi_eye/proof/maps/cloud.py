@@ -39,7 +39,8 @@ class Twin(Simulation):
             self.aqueous.height_fraction.from_numpy(keep)
 
     def _record(self):
-        figures = super()._record()
+        super()._record()
+        figures = self.batch.figures(0)
         count = self.cloud.count
         # a twin's energy norm needs the volumes of rest only
         self.states.append((self.aqueous.pressure.to_numpy()[:count], self.aqueous.velocity.to_numpy()[:count]))
@@ -50,7 +51,6 @@ class Twin(Simulation):
             pressure = self.aqueous.pressure.to_numpy()
             pressure[:count] += NOISE * self.scene.puff.peak_kpa * 1e3 * noise
             self.aqueous.pressure.from_numpy(pressure)
-        return figures
 
 
 def _run(keys: dict, motion: str, noise_at=()):

@@ -75,7 +75,7 @@ def _converges(keys: dict, dt: float, factor: float) -> bool:
                         "numerics.coupling_tolerance": 1e-4, "numerics.coupling_iterations_max": 200})
     simulation = Simulation(scene, cloud_for(scene))
     simulation.coupling.advance(np.array([1000.0]), dt, dt)
-    return simulation.coupling.status[None] == RUNNING
+    return simulation.coupling.status[0] == RUNNING
 
 
 def coupling(say=print) -> Map:

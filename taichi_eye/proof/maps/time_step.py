@@ -38,9 +38,9 @@ class Radii:
     @ti.kernel
     def _wave(self, p: ti.types.ndarray(), after: ti.types.ndarray()):
         # after = rho c^2 div (grad p / rho), the velocity meeting resting walls
-        nodes, walls = self.aqueous.count[None], self.aqueous.wall_count[None]
+        nodes, walls = self.aqueous.count[0], self.aqueous.wall_count[0]
         zero = ti.Vector([0.0, 0.0])
-        length = self.aqueous.dissipation_length[None]
+        length = self.aqueous.dissipation_length[0]
         for i in range(nodes):
             self.aqueous.potential[i], self.aqueous.pressure[i] = p[i], 0.0
             self.aqueous.velocity[i], self.aqueous.laplacian[i] = zero, zero
@@ -50,35 +50,35 @@ class Radii:
             self.cornea.velocity[i] = zero
         ti.loop_config(serialize=True)
         for once in range(1):
-            self.aqueous.dissipation_length[None] = 0.0
+            self.aqueous.dissipation_length[0] = 0.0
         for i in range(nodes):
             self.aqueous.find_pressure_gradient(i)
         for i in range(nodes):
-            self.aqueous.kick(i, 1.0, self.cornea.velocity)
+            self.aqueous.kick(0, i, 1.0, self.cornea.velocity)
         for i in range(nodes):
             velocity = self.aqueous.candidate[i]
             if i < walls:
-                velocity = self.aqueous.meet_wall(i, self.cornea.place, zero)
+                velocity = self.aqueous.meet_wall(0, i, self.cornea.place, zero)
             self.aqueous.velocity[i] = velocity
         for i in range(nodes):
             self.aqueous.find_velocity_gradient(i)
         for i in range(nodes):
-            after[i] = self.aqueous.density0[None] * self.aqueous.sound_speed[None] ** 2 * self.aqueous.divergence[i]
+            after[i] = self.aqueous.density0[0] * self.aqueous.sound_speed[0] ** 2 * self.aqueous.divergence[i]
         ti.loop_config(serialize=True)
         for once in range(1):
-            self.aqueous.dissipation_length[None] = length
+            self.aqueous.dissipation_length[0] = length
 
     @ti.kernel
     def _damp(self, p: ti.types.ndarray(), after: ti.types.ndarray()):
         # after = alpha c h P p
-        nodes = self.aqueous.count[None]
+        nodes = self.aqueous.count[0]
         for i in range(nodes):
             self.aqueous.potential[i], self.aqueous.pressure[i] = p[i], 0.0
             self.aqueous.velocity[i] = ti.Vector([0.0, 0.0])
         for i in range(nodes):
             self.aqueous.find_pressure_gradient(i)
         for i in range(nodes):
-            self.aqueous.kick(i, 0.0, self.cornea.velocity)
+            self.aqueous.kick(0, i, 0.0, self.cornea.velocity)
         for i in range(nodes):
             after[i] = self.aqueous.pressure_dissipation[i]
 
