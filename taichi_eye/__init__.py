@@ -5,7 +5,7 @@
     result = taichi_eye.run(scene, out="renders/iop20")
     result.traces["apex_displacement_mm"].max()
 
-`Simulation` is the coupled solver without film and files.
+`Simulation` is the coupled solver without film and files, `run_batch` the same for many scenes at once.
 """
 import os
 
@@ -16,7 +16,8 @@ os.environ.setdefault("TI_LOG_LEVEL", "error")
 from taichi_eye.errors import RunStopped, SceneError  # noqa: E402
 from taichi_eye.scene import Scene, dump_scene, load_scene  # noqa: E402
 
-__all__ = ["RunResult", "RunStopped", "Scene", "SceneError", "Simulation", "dump_scene", "init", "load_scene", "run"]
+__all__ = ["RunResult", "RunStopped", "Scene", "SceneError", "Simulation", "dump_scene", "init", "load_scene", "run",
+           "run_batch"]
 __version__ = "0.1.0"
 
 
@@ -28,6 +29,9 @@ def __getattr__(name):
     if name == "Simulation":
         from taichi_eye.solver.simulation import Simulation
         return Simulation
+    if name == "run_batch":
+        from taichi_eye.solver.batch import run_batch
+        return run_batch
     if name in ("run", "RunResult"):
         from taichi_eye import pipeline
         return getattr(pipeline, name)

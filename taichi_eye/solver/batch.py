@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Callable, Sequence
 
 import numpy as np
+from tqdm import tqdm
 
 from taichi_eye.cloud.packing import Cloud, pack
 from taichi_eye.errors import RunStopped, SceneError
@@ -31,6 +32,7 @@ from taichi_eye.solver.workspace import borrow
 from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
 
 SAMPLE_MS = 0.025  # longest time between two rows of the traces
+AT_ONCE = 2**18  # nodes that `run_batch` holds in memory, some 3 kB each
 
 
 def cloud_of(scene) -> Cloud:
@@ -41,11 +43,16 @@ def cloud_of(scene) -> Cloud:
 def clouds_of(scenes) -> list[Cloud]:
     """The clouds of scenes, packed once for each chamber and spacing; raises like `cloud_of`."""
     packed: dict[tuple, Cloud] = {}
-    for scene in scenes:
+    clouds = []
+    for number, scene in enumerate(scenes):
         key = Section.from_scene(scene), scene.numerics.spacing_mm
         if key not in packed:
-            packed[key] = cloud_of(scene)
-    return [packed[Section.from_scene(scene), scene.numerics.spacing_mm] for scene in scenes]
+            try:
+                packed[key] = cloud_of(scene)
+            except SceneError as problem:
+                raise SceneError(f"scene {number} of the batch: {problem}") from None
+        clouds.append(packed[key])
+    return clouds
 
 
 @dataclass(frozen=True)
@@ -228,3 +235,41 @@ def _stored(figures):
 def _lost(figures):
     """Energy [J] lost or carried off since the start."""
     return figures["viscous_loss"] + figures["numerical_loss"] + figures["outflow_loss"]
+
+
+def run_batch(scenes: Sequence[Scene], progress: bool = False) -> list[Outcome]:
+    """Run scenes together under the full model, whatever their `numerics.fidelity`; what became of each, in their order.
+
+    Scenes may differ in everything; those of one basis run side by side, AT_ONCE nodes at a time. An eye that leaves its
+    validity stops alone and keeps its traces up to there. progress: a bar on the terminal. Raises SceneError where a chamber
+    cannot be filled or its stencils are no good.
+    """
+    clouds = clouds_of(scenes)
+    outcomes: list[Outcome | None] = [None] * len(scenes)
+    with tqdm(total=sum(scene.numerics.duration_ms for scene in scenes), unit=" ms", disable=not progress,
+              dynamic_ncols=True, bar_format="{desc}{percentage:3.0f}%|{bar}| {n:.0f}/{total:.0f} ms [{elapsed}<{remaining}]",
+              desc=f"{len(scenes)} eyes: ") as bar:
+        for chosen in _parcels(scenes, clouds):
+            before = bar.n
+            batch = Batch([scenes[k] for k in chosen], [clouds[k] for k in chosen])
+            told = lambda batch, before=before: bar.update(
+                before + float(((batch.recorded - 1) * batch.sample_ms).sum()) - bar.n)
+            for k, outcome in zip(chosen, batch.run(told)):
+                outcomes[k] = outcome
+            bar.update(before + sum(scenes[k].numerics.duration_ms for k in chosen) - bar.n)
+    return outcomes
+
+
+def _parcels(scenes, clouds):
+    """Numbers of the scenes that run side by side: one basis, AT_ONCE nodes or a single eye."""
+    for basis in sorted({scene.numerics.basis for scene in scenes}):
+        parcel, nodes = [], 0
+        for k, (scene, cloud) in enumerate(zip(scenes, clouds)):
+            if scene.numerics.basis != basis:
+                continue
+            if parcel and nodes + cloud.count > AT_ONCE:
+                yield parcel
+                parcel, nodes = [], 0
+            parcel.append(k)
+            nodes += cloud.count
+        yield parcel

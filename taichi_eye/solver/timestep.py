@@ -45,7 +45,8 @@ class StepLimits:
         """All limits [s] by name, from a survey's figures (arrays over the scenes)."""
         gap = figures["smallest_gap"]
         length = figures["membrane_step"] * figures["membrane_speed"]
-        with np.errstate(divide="ignore"):  # without viscosity there is no limit by it
+        # without viscosity there is no limit by it; an eye at rest in a batch has no figures
+        with np.errstate(divide="ignore", invalid="ignore"):
             return {
                 "acoustic": gap / (self.speed * (0.6 + self.spread / gap)),
                 "dissipation": 0.55 / np.maximum(self.damping * figures["pair_weight"], 1e-30),

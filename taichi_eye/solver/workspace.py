@@ -15,6 +15,7 @@ from taichi_eye.solver.sample import Sampler
 from taichi_eye.solver.survey import Survey
 
 SMALLEST = 2048  # nodes: scenes below share one set of kernels, in this process and in the offline cache
+FEWEST = 32  # eyes of a batch, likewise
 
 _free: dict[tuple, list] = {}
 
@@ -52,5 +53,5 @@ def reuse(holder, kind: tuple, make):
 
 def borrow(holder, nodes: int, eyes: int, basis: str) -> Workspace:
     """A workspace for `nodes` nodes of `eyes` eyes; free again once `holder` is gone."""
-    sizes = capacity(nodes), capacity(eyes, 1)
+    sizes = capacity(nodes), 1 if eyes == 1 else capacity(eyes, FEWEST)
     return reuse(holder, (backend.generation(), *sizes, basis), lambda: Workspace(*sizes, basis))

@@ -4,9 +4,10 @@ import pytest
 from eye_bench import run_eye
 
 from taichi_eye.errors import RunStopped
+from taichi_eye.mfpm.operators import CONDITION_LIMIT
 from taichi_eye.scene import load_scene
 from taichi_eye.solver.coupling import NOT_CONVERGED, RUNNING
-from taichi_eye.solver.guards import check
+from taichi_eye.solver.guards import calm, check
 
 SOUND = {"least_stress": 14e3, "slackest_element": 3.0, "chamber_gap": 0.6, "gap_node": 0.0, "flattest_triangle": 0.6,
          "flat_node": 12.0, "worst_condition": 210.0, "ill_node": 40.0, "not_finite": 0.0, "bad_node": -1.0,
@@ -57,6 +58,29 @@ def test_a_slack_wall_is_named_before_what_it_causes():
     everything = {"least_stress": -1.0, "flattest_triangle": -1.0, "worst_condition": NAN, "not_finite": 1.0,
                   "energy_gain": NAN}
     assert "slack" in refusal(**everything).what
+
+
+def test_many_eyes_are_calm_exactly_where_each_passes():
+    rng, scene = np.random.default_rng(3), load_scene(None)
+    limit = CONDITION_LIMIT[scene.numerics.basis]
+    choices = {"least_stress": (14e3, 14e3, 1.0, 0.0, -5.0, -1e6), "chamber_gap": (0.6, 0.6, 0.1, 0.05),
+               "flattest_triangle": (0.6, 0.6, 0.05, 0.0), "worst_condition": (210.0, 210.0, 1e3 * limit, NAN),
+               "not_finite": (0.0, 0.0, 0.0, 1.0), "coupling_status": (RUNNING, RUNNING, RUNNING, NOT_CONVERGED),
+               "viscous_loss": (0.0, 1e-7, 2e-6, 1e-5), "numerical_loss": (0.0, 1e-7, 2e-6, -1e-6)}
+    figures = {name: rng.choice(values, 3000) for name, values in choices.items()}
+    for name, value in SOUND.items():
+        figures.setdefault(name, np.full(3000, value))
+    gain, work = rng.choice([-1e-5, 0.0, 1e-8, 2.9e-6, 5e-6, NAN], 3000), rng.choice([0.0, 2e-5, 3e-5], 3000)
+    verdict = calm(figures, gain, work, limit)
+    for k, quiet in enumerate(verdict):
+        one = {name: float(values[k]) for name, values in figures.items()}
+        try:
+            check(one, gain[k], work[k], scene, lambda node: 0.0, 1.0, one["viscous_loss"], one["numerical_loss"])
+            passed = True
+        except RunStopped:
+            passed = False
+        assert passed == quiet, (one, gain[k], work[k])
+    assert 20 < verdict.sum() < 2500
 
 
 def stopped(*overrides):
