@@ -1,7 +1,8 @@
-"""The command line: `taichi-eye run SCENE.toml`, `analyze FILM`, and `verify`, `stability`, `claims`, `bench`.
+"""The command line: `taichi-eye run SCENE.toml`, `analyze FILM`, and `verify`, `stability`, `clinic`,
+`claims`, `films`, `bench`.
 
 Exit status: 0 done; 1 the run left its validity and was stopped (what was computed so far is in the run folder), or a
-row of `verify` or `bench` does not hold; 2 bad input, nothing written; 130 interrupted.
+row of `verify`, `films` or `bench` does not hold; 2 bad input, nothing written; 130 interrupted.
 """
 import argparse
 import os
@@ -33,6 +34,7 @@ def parser() -> argparse.ArgumentParser:
     _add_analyze(commands)
     for name, what in (("verify", "compare the solver's kernels with exact answers"),
                        ("stability", "map where the methods fail, with the theory drawn on"),
+                       ("films", "hold rendered frames against the instrument's, and their reading against the eyes filmed"),
                        ("bench", "measure how fast it is, each figure beside what is asked of it")):
         proof = commands.add_parser(name, help=what, description=f"{what.capitalize()}; writes one table and one page.")
         proof.add_argument("--only", metavar="NAME", action="append", default=[], help="one part of it; may be repeated")
@@ -40,6 +42,17 @@ def parser() -> argparse.ArgumentParser:
         proof.add_argument("--out", metavar="DIR", help="folder of the page, new or empty (default: under renders/)")
         proof.add_argument("--threads", type=_threads, metavar="N", help="CPU threads (default: all)")
         proof.set_defaults(do=_prove)
+    clinic = commands.add_parser("clinic", help="a scene's corneal response beside published norms, switch by switch",
+                                 description="Run a scene without a film, once as it is, once without each of its switches, "
+                                 "and at other IOPs and thicknesses; dynamic corneal response beside norms and slopes.")
+    clinic.add_argument("scene", help="scene file (TOML)")
+    clinic.add_argument("--set", dest="overrides", metavar="SECTION.KEY=VALUE", action="append", default=[],
+                        help="override a key of the scene; may be repeated")
+    clinic.add_argument("--out", metavar="DIR", help="folder of the page, new or empty (default: under renders/)")
+    clinic.add_argument("--json", metavar="FILE", help="the tables as JSON")
+    clinic.add_argument("--threads", type=_threads, metavar="N", help="CPU threads (default: all)")
+    clinic.add_argument("--quiet", action="store_true", help="no progress bar")
+    clinic.set_defaults(do=_clinic)
     claims = commands.add_parser("claims", help="put the paper's claims on delay, asymmetry and IOP to the model",
                                  description="Run some forty puffs on the default eye that differ in one thing each and "
                                  "say which of the paper's claims hold: claims.html and claims.csv.")
@@ -149,6 +162,17 @@ def _analyze(given) -> int:
     for note in result.notes:
         print(f"note: {note}")
     print(f"{result.folder}: parameters, histories, overlay film and plots of {len(result.film.frames)} frames")
+    return 0
+
+
+def _clinic(given) -> int:
+    from taichi_eye.proof import dcr
+    from taichi_eye.scene import load_scene
+
+    load_scene(given.scene, given.overrides)
+    _refuse_unwritable(given.json)
+    backend.init("cpu", "f64", given.threads)
+    dcr.report(given.scene, given.overrides, given.out, given.json, not given.quiet)
     return 0
 
 

@@ -31,16 +31,18 @@ PARTS = {
 HEAD = ("quantity", "value", "asked", "", "sizes and settings")
 
 
-def report(only=(), out: str | None = None, json_file: str | None = None, say=lambda text: print(text, flush=True)) -> bool:
+def report(only=(), out: str | None = None, json_file: str | None = None, say=lambda text: print(text, flush=True),
+           parts=None, command: str = "bench") -> bool:
     """Measure the parts named (all without names), print the table, write the page; whether all that is asked holds.
 
     out: folder of the page (default: a new one under renders/); json_file: the machine, and each part's rows. Both are
-    written anew after every part: an interrupted bench keeps what it has.
+    written anew after every part: an interrupted bench keeps what it has. parts: those of another command.
     """
-    folder = create_run_folder(out, "bench")
+    measured = PARTS if parts is None else parts
+    folder = create_run_folder(out, command)
     machine = describe_machine()
     found: dict[str, list[Row]] = {}
-    parts: list[str] = []
+    shown: list[str] = []
 
     def tell(text):
         with tqdm.external_write_mode(file=sys.stdout):
@@ -48,21 +50,21 @@ def report(only=(), out: str | None = None, json_file: str | None = None, say=la
 
     tell(", ".join(f"{value} {name}" if isinstance(value, int) else str(value) for name, value in machine.items()))
     tell(_line(HEAD))
-    names = list(only or PARTS)
+    names = list(only or measured)
     with tqdm(total=len(names), unit=" parts", dynamic_ncols=True, leave=False) as bar:
         for name in names:
             started = time.perf_counter()
             bar.set_description_str(name)
-            rows, figures = PARTS[name](lambda text, name=name: bar.set_description_str(f"{name}: {text}"))
+            rows, figures = measured[name](lambda text, name=name: bar.set_description_str(f"{name}: {text}"))
             found[name] = rows
             for row in rows:
                 tell(_line(_cells(row)))
             tell(f"  {name}: {time.perf_counter() - started:.0f} s")
-            theory = sys.modules[PARTS[name].__module__].__doc__ or ""
-            parts += [f"<h2>{name}</h2><pre>{plain(theory)}</pre>",
+            theory = sys.modules[measured[name].__module__].__doc__ or ""
+            shown += [f"<h2>{name}</h2><pre>{plain(theory)}</pre>",
                       table(HEAD, [_cells(row) for row in rows], [i for i, row in enumerate(rows) if row.holds is False]),
                       *map(picture, figures)]
-            write_page(folder / "bench.html", "taichi-eye bench", [f"<p>{plain(str(machine))}</p>", *parts])
+            write_page(folder / f"{command}.html", f"taichi-eye {command}", [f"<p>{plain(str(machine))}</p>", *shown])
             if json_file:
                 whole = {"machine": machine, "parts": {part: [row.as_dict() for row in rows] for part, rows in found.items()}}
                 write_text(Path(json_file), json.dumps(whole, indent=2) + "\n")
@@ -70,7 +72,7 @@ def report(only=(), out: str | None = None, json_file: str | None = None, say=la
     asked = [row.holds for rows in found.values() for row in rows if row.holds is not None]
     missing = sum(row.value is None for rows in found.values() for row in rows)
     tell(f"{sum(asked)} of {len(asked)} rows hold" + (f", {missing} skipped" if missing else "")
-         + f"; {folder / 'bench.html'}")
+         + f"; {folder / f'{command}.html'}")
     return all(asked)
 
 

@@ -41,3 +41,9 @@ def at_least(name: str, value: float, unit: str, limit: float, note: str = "") -
 def skipped(name: str, reason: str, asked: str = "") -> Row:
     """A figure that cannot be had here."""
     return Row(name, None, asked=asked, note=f"skipped: {reason}")
+
+
+def within(name: str, value: float, unit: str, low: float, high: float, slack: float, note: str = "") -> Row:
+    """A figure that is to lie from `low` to `high`, give or take `slack`; NaN does not."""
+    asked = f"{low:g}" if low == high else f"{low:g} to {high:g}"
+    return Row(name, value, unit, f"{asked} +- {slack:g}" if slack else asked, bool(low - slack <= value <= high + slack), note)

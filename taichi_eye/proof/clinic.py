@@ -10,7 +10,8 @@ the puff were recorded apart, so a common offset of a few tenths of a ms between
 drops out of the difference between deformation and deflection. At the one frame where the digitised fit and its
 published error meet, the inward speed jumps, so speeds are not used.
 
-Slopes. Deformation amplitude over 194 eyes (open data): -0.031 mm per mmHg and -0.0095 mm per 10 um of thickness.
+Slopes. Over 194 eyes (open data, linear in bIOP and thickness), e.g. of the deformation amplitude -0.031 mm per mmHg and
+-0.0095 mm per 10 um of thickness.
 """
 import numpy as np
 
@@ -25,6 +26,11 @@ WHOLE_EYE_MM = (0.0, 0.011, 0.023, 0.076, 0.114, 0.134, 0.179, 0.253, 0.334, 0.3
                 0.040, 0.030)
 AMPLITUDE_PER_MMHG = -0.031  # mm
 AMPLITUDE_PER_10_UM = -0.0095  # mm
+# of the parameters of `taichi_eye.analysis.Response`: per mmHg, per 10 um
+SLOPES = {"deformation_amplitude_mm": (AMPLITUDE_PER_MMHG, AMPLITUDE_PER_10_UM), "a1_velocity_m_s": (-0.0072, -0.0024),
+          "a2_velocity_m_s": (0.0078, 0.0016), "peak_distance_mm": (-0.094, -0.022), "hc_radius_mm": (0.074, 0.117),
+          "da_ratio_2mm": (-0.095, -0.077), "integrated_inverse_radius_per_mm": (-0.244, -0.179),
+          "sp_a1_mmhg_mm": (4.28, 3.28)}
 PUFF_SPREAD = 1.4 / 96.4  # standard deviation of the puff's pressure over its mean
 
 

@@ -101,6 +101,7 @@ class Batch:
         self._rebuild_travel = np.array([scene.numerics.refresh_travel * cloud.spacing
                                          for scene, cloud in zip(self.scenes, self.clouds)])
         self._condition_limit = CONDITION_LIMIT[self.scenes[0].numerics.basis]
+        self._least_stress = np.array([guards.least_stress(scene) for scene in self.scenes])
         self._dt, self._largest_work = np.zeros(eyes), np.zeros(eyes)
         # the survey of every sample, a row to an eye; the eyes that it was last taken of, those that no guard has stopped
         self._history = np.zeros((self.samples.max() + 1, eyes, len(QUANTITIES)))
@@ -203,7 +204,7 @@ class Batch:
         eyes, figures = self._eyes, self._figures
         self._largest_work = np.fmax(self._largest_work, np.abs(figures["puff_work"]))
         gained = _stored(figures) - figures["puff_work"]
-        calm = guards.calm(figures, gained, self._largest_work, self._condition_limit)
+        calm = guards.calm(figures, gained, self._largest_work, self._condition_limit, self._least_stress)
         for eye in eyes[~calm[eyes]]:
             self._check(eye, gained[eye])
         sound = eyes[self._going[eyes]]

@@ -5,16 +5,23 @@ tension the membrane has no transverse waves and any mesh-size ripple grows. Onl
 compressed than it was stretched at rest, or whose energy grew without work in the same sample, was torn by an
 instability: slackness grows from zero and the energy is balanced then.
 
+A shell (cornea.flexural_modulus_mpa) carries compression until it buckles. That is judged by the classical stress at which a
+sphere does, 2 sqrt(D E h) / (R h), with D its bending stiffness and E Young's modulus in its plane at rest: an axisymmetric
+model shows no other buckles, and what it computes beyond that stress would fold in life.
+
 Energy. What is stored must not exceed the work of the puff, and not by much together with what the dissipation took: an
 unstable flow that the dissipation holds at a bounded level stores little and would pass on its stored energy alone (no
 slip on coarse nodes does that). Violent but sound ringing reaches 0.1 there. The viscous loss is judged apart: the
 viscous stress on the cornea is not handed over, so under slip walls what the strain rates lose is never taken from the
 motion, and a liquid so viscous that it matters is outside the model.
 """
+import math
+
 from taichi_eye.errors import RunStopped
+from taichi_eye.eye.tissue import biaxial_tangent
 from taichi_eye.mfpm.operators import CONDITION_LIMIT
 from taichi_eye.solver.coupling import NOT_CONVERGED
-from taichi_eye.units import MMHG
+from taichi_eye.units import MM, MMHG
 
 FLAT = 0.05  # of its area at rest: a triangle this flat is about to turn over
 CLOSED = 0.1  # of the height of the chamber at rest: the cornea is about to touch its back
@@ -23,6 +30,17 @@ ENERGY_SHARE = 0.1  # of the largest work done so far
 CHURN_SHARE = 0.15  # of the same: fed by the scheme and taken by its dissipation
 ENERGY_FLOOR = 1e-10  # J: below it no gain is judged (the default puff works 2e-5 J)
 LIGHT = 0.3  # mass of the cornea over that of a layer of nodes below which the wall pressure outruns the wall
+
+
+def least_stress(scene) -> float:
+    """The principal stress [Pa] in the cornea's plane below which a run is stopped: 0 for a membrane, less for a shell."""
+    cornea = scene.cornea
+    if cornea.flexural_modulus_mpa == 0.0:
+        return 0.0
+    thickness, nu = cornea.thickness_mm * MM, cornea.poisson_ratio
+    rigidity = cornea.flexural_modulus_mpa * 1e6 * thickness**3 / (12.0 * (1.0 - nu * nu))
+    young = (1.0 - nu) * biaxial_tangent(cornea.stiffness_a_pa, cornea.exponent_k, cornea.prestrain)
+    return -2.0 * math.sqrt(rigidity * young / thickness) / (cornea.radius_mm * MM)
 
 
 def check(figures: dict[str, float], energy_gain: float, largest_work: float, scene, radius_mm,
@@ -35,30 +53,28 @@ def check(figures: dict[str, float], energy_gain: float, largest_work: float, sc
     numerics = scene.numerics
     allowed = ENERGY_SHARE * largest_work + ENERGY_FLOOR
 
-    def stop(what, node, advice):
+    def stop(what, advice, node):
         raise RunStopped(what, f"at r = {radius_mm(int(node)):.2f} mm", time_ms, advice)
 
     stress_at_rest = scene.eye.iop_mmhg * MMHG * scene.cornea.radius_mm / (2.0 * scene.cornea.thickness_mm)
     churned = CHURN_SHARE * largest_work + ENERGY_FLOOR
     grew = energy_gain > allowed or energy_gain + numerical_loss > churned
-    if figures["least_stress"] <= 0.0 and not (grew or figures["least_stress"] < -stress_at_rest):
-        stop(f"the cornea went slack (smallest principal stress {figures['least_stress'] / 1e3:.3g} kPa)",
-             figures["slackest_element"],
-             "A membrane carries no compression: lower puff.peak_kpa, raise eye.iop_mmhg or cornea.prestrain.")
+    least, found = least_stress(scene), figures["least_stress"]
+    if found <= least and not (grew or found < least - stress_at_rest):
+        stop(*failing(scene, found), figures["slackest_element"])
     if figures["chamber_gap"] < CLOSED:
-        stop("the cornea reached the back of the chamber", figures["gap_node"],
-             "Lower puff.peak_kpa, raise eye.iop_mmhg or chamber.depth_mm"
-             + ("." if scene.chamber.sealed else ", or keep the fluid in: chamber.sealed = true."))
+        stop("the cornea reached the back of the chamber", "Lower puff.peak_kpa, raise eye.iop_mmhg or chamber.depth_mm"
+             + ("." if scene.chamber.sealed else ", or keep the fluid in: chamber.sealed = true."), figures["gap_node"])
     if figures["flattest_triangle"] < FLAT:
-        stop("nodes are about to cross (the cloud is folded)", figures["flat_node"],
-             "Lower puff.peak_kpa or numerics.spacing_mm; raise numerics.dissipation if the wall shows ripples.")
+        stop("nodes are about to cross (the cloud is folded)", "Lower puff.peak_kpa or numerics.spacing_mm; raise "
+             "numerics.dissipation if the wall shows ripples.", figures["flat_node"])
     if not figures["worst_condition"] < CONDITION_GROWTH * CONDITION_LIMIT[numerics.basis]:
-        stop(f"a stencil went singular (condition number {figures['worst_condition']:.1e})", figures["ill_node"],
-             "Change numerics.spacing_mm, or use numerics.basis = \"quadratic\".")
+        stop(f"a stencil went singular (condition number {figures['worst_condition']:.1e})",
+             "Change numerics.spacing_mm, or use numerics.basis = \"quadratic\".", figures["ill_node"])
     unstable = _advice_unstable(scene)
     if figures["not_finite"] or energy_gain != energy_gain:
-        stop("a value is not finite any more", max(figures["bad_node"], 0), unstable)
-    torn = figures["least_stress"] <= 0.0
+        stop("a value is not finite any more", unstable, max(figures["bad_node"], 0))
+    torn = found <= least
     unbalanced = energy_gain + viscous_loss > allowed
     # at the size of the spacing the dissipation takes more than viscosity: then the loss is an instability's
     smooth = viscous_loss > max(energy_gain, numerical_loss)
@@ -78,14 +94,26 @@ def check(figures: dict[str, float], energy_gain: float, largest_work: float, sc
                          "or use numerics.relaxation = \"aitken\".")
 
 
-def calm(figures, energy_gain, largest_work, condition_limit):
+def failing(scene, stress: float) -> tuple[str, str]:
+    """What a cornea under this principal stress [Pa] does, and what to change."""
+    least = least_stress(scene)
+    if least == 0.0:
+        return (f"the cornea went slack (smallest principal stress {stress / 1e3:.3g} kPa)",
+                "A membrane carries no compression: lower puff.peak_kpa, raise eye.iop_mmhg or cornea.prestrain.")
+    return (f"the cornea buckled (smallest principal stress {stress / 1e3:.3g} kPa, {least / 1e3:.3g} kPa are borne)",
+            "Lower puff.peak_kpa, raise eye.iop_mmhg, cornea.prestrain or cornea.flexural_modulus_mpa.")
+
+
+def calm(figures, energy_gain, largest_work, condition_limit, least):
     """Where `check` stops nothing: a bool for each of many eyes, whose figures, gains and works are arrays.
+
+    least: their `least_stress`.
 
     condition_limit: that of their basis; the viscous and the numerical loss are those of the figures.
     """
     allowed = ENERGY_SHARE * largest_work + ENERGY_FLOOR
     churned = CHURN_SHARE * largest_work + ENERGY_FLOOR
-    return ((figures["least_stress"] > 0.0) & (figures["chamber_gap"] >= CLOSED) & (figures["flattest_triangle"] >= FLAT)
+    return ((figures["least_stress"] > least) & (figures["chamber_gap"] >= CLOSED) & (figures["flattest_triangle"] >= FLAT)
             & (figures["worst_condition"] < CONDITION_GROWTH * condition_limit) & (figures["not_finite"] == 0.0)
             & (energy_gain <= allowed) & (energy_gain + figures["viscous_loss"] <= allowed)
             & (energy_gain + figures["numerical_loss"] <= churned) & (figures["coupling_status"] != NOT_CONVERGED))

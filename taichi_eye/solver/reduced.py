@@ -20,6 +20,7 @@ from taichi_eye.eye.thickness import prestrain, thickness
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.batch import SAMPLE_MS
 from taichi_eye.solver.cornea import Cornea
+from taichi_eye.solver.guards import failing, least_stress
 from taichi_eye.solver.motion import Motion
 from taichi_eye.solver.potential import LayerFlow, PotentialFlow, ring_areas
 from taichi_eye.solver.wall_stepper import (CLOSED, FIGURES, GREW, NOT_FINITE, PUFF_ROWS, RUNNING, SLACK, WallStepper)
@@ -29,8 +30,6 @@ from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
 MODELS = ("membrane", "cavity", "layer", "added_mass")
 BULK_MODULUS = 2.2e9  # Pa, water
 STOPS = {
-    SLACK: ("the cornea went slack",
-            "A membrane carries no compression: lower puff.peak_kpa, raise eye.iop_mmhg or cornea.prestrain."),
     CLOSED: ("the cornea reached the back of the chamber",
              "Lower puff.peak_kpa, raise eye.iop_mmhg or chamber.depth_mm, or model the liquid that is in the way: "
              'numerics.fidelity = "mfpm".'),
@@ -107,7 +106,8 @@ class Reduced:
         rigidity = cornea.flexural_modulus_mpa * 1e6 * thickest**3 / (12.0 * (1.0 - cornea.poisson_ratio**2))
         bending = 0.5 * math.sqrt(cornea.density_kg_m3 * thinnest / rigidity) if rigidity > 0.0 else math.inf
         self.stepper.setup(self.section.back_height(nodes[:, 0]), volume, compliance,
-                           scene.chamber.sealed and self.model != "membrane", scene.aqueous.density_kg_m3, bending)
+                           scene.chamber.sealed and self.model != "membrane", scene.aqueous.density_kg_m3, bending,
+                           least_stress(scene))
 
     @property
     def time_ms(self) -> float:
@@ -233,7 +233,8 @@ class Reduced:
         status = int(self.stepper.status[None])
         if status == RUNNING:
             return
-        what, advice = STOPS[status]
+        what, advice = (failing(self.scene, self._record[self.reached, FIGURES.index("least_stress")]) if status == SLACK
+                        else STOPS[status])
         node = int(self.stepper.place_of_failure[None])
         radius = self.section.cornea_nodes(self.wall_count - 1)[node, 0] / MM
         raise RunStopped(what, f"at r = {radius:.2f} mm", self.time_ms, advice)

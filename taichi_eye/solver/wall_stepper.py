@@ -55,17 +55,19 @@ class WallStepper:
         self.mean_pressure, self.rest_volume, self.rest_enclosed, self.compliance, self.density = (
             ti.field(fp, ()) for _ in range(5))
         self.sealed, self.status, self.place_of_failure, self.steps = (ti.field(ti.i32, ()) for _ in range(4))
-        self.last_dt, self.rest_energy, self.largest_work, self.bending_step = (ti.field(fp, ()) for _ in range(4))
+        self.last_dt, self.rest_energy, self.largest_work, self.bending_step, self.least_stress = (
+            ti.field(fp, ()) for _ in range(5))
 
     @ti.kernel
     def setup(self, back: ti.types.ndarray(), volume: float, compliance: float, sealed: int, density: float,
-              bending_step: float):
+              bending_step: float, least_stress: float):
         """Take the cornea's present state as rest; back [walls]: z of the rigid back below each node [m]; density of the
-        liquid [kg/m^3]; bending_step [s]: limit of the step by the plate's stiffest wave per squared element [s/m^2]."""
+        liquid [kg/m^3]; bending_step [s]: limit of the step by the plate's stiffest wave per squared element [s/m^2];
+        least_stress [Pa]: at which the run stops."""
         self.sealed[None], self.status[None], self.steps[None] = sealed, RUNNING, 0
         self.compliance[None], self.rest_volume[None], self.density[None] = compliance, volume, density
         self.mean_pressure[None], self.last_dt[None], self.largest_work[None] = 0.0, 0.0, 0.0
-        self.bending_step[None] = bending_step
+        self.bending_step[None], self.least_stress[None] = bending_step, least_stress
         for i in range(self.cornea.last[0] + 1):
             zero = ti.Vector([0.0, 0.0])
             self.back[i] = back[i]
@@ -91,7 +93,7 @@ class WallStepper:
 
     @ti.func
     def stable_step(self):
-        """The step limit [s] of the membrane's waves now."""
+        """The step limit [s] of the cornea's waves now: tension and bending stiffen one and the same wave."""
         step = ti.math.inf
         shortest = ti.math.inf
         for k in range(self.cornea.last[0]):
@@ -99,7 +101,8 @@ class WallStepper:
             length = self.cornea.element_length[k]
             step = ti.min(step, length / ti.max(ti.max(in_plane, transverse), 1e-6))
             shortest = ti.min(shortest, length)
-        return ti.min(step, self.bending_step[None] * shortest * shortest)
+        plate = self.bending_step[None] * shortest * shortest
+        return 1.0 / ti.sqrt(1.0 / (step * step) + 1.0 / (plate * plate))
 
     @ti.func
     def _volume_at(self, place: ti.template()):
@@ -311,7 +314,7 @@ class WallStepper:
         gained = elastic + kinetic + swept + stored - work
         if finite == 0 or ti.math.isnan(gained):
             self.status[None], self.place_of_failure[None] = NOT_FINITE, near
-        elif least <= 0.0:
+        elif least <= self.least_stress[None]:
             self.status[None], self.place_of_failure[None] = SLACK, slackest
         elif room < CLOSED_SHARE:
             self.status[None], self.place_of_failure[None] = CLOSED, near

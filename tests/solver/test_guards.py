@@ -7,7 +7,7 @@ from taichi_eye.errors import RunStopped
 from taichi_eye.mfpm.operators import CONDITION_LIMIT
 from taichi_eye.scene import load_scene
 from taichi_eye.solver.coupling import NOT_CONVERGED, RUNNING
-from taichi_eye.solver.guards import calm, check
+from taichi_eye.solver.guards import calm, check, least_stress
 
 SOUND = {"least_stress": 14e3, "slackest_element": 3.0, "chamber_gap": 0.6, "gap_node": 0.0, "flattest_triangle": 0.6,
          "flat_node": 12.0, "worst_condition": 210.0, "ill_node": 40.0, "not_finite": 0.0, "bad_node": -1.0,
@@ -54,6 +54,20 @@ def test_each_failure_is_named(keys, what, where, advice):
     assert stop.time_ms == 12.345 and "12.345" in str(stop)
 
 
+def test_a_shell_bears_compression_up_to_the_classical_buckling_stress():
+    shell = ["cornea.flexural_modulus_mpa=0.2"]
+    scene = load_scene(None, shell)
+    cornea = scene.cornea
+    # of an isotropic shell with the in-plane modulus for bending too: E h / (R sqrt(3 (1 - nu^2)))
+    young = (1.0 - cornea.poisson_ratio) * 0.55e6
+    uniform = young * cornea.thickness_mm / cornea.radius_mm / np.sqrt(3.0 * (1.0 - cornea.poisson_ratio**2))
+    assert least_stress(scene) == pytest.approx(-uniform * np.sqrt(0.2e6 / young), rel=0.01)
+    assert least_stress(load_scene()) == 0.0
+    judge(least_stress=0.99 * least_stress(scene), overrides=shell)
+    stop = refusal(least_stress=1.01 * least_stress(scene), overrides=shell)
+    assert "buckled" in stop.what and "cornea.flexural_modulus_mpa" in stop.advice
+
+
 def test_a_slack_wall_is_named_before_what_it_causes():
     everything = {"least_stress": -1.0, "flattest_triangle": -1.0, "worst_condition": NAN, "not_finite": 1.0,
                   "energy_gain": NAN}
@@ -71,7 +85,7 @@ def test_many_eyes_are_calm_exactly_where_each_passes():
     for name, value in SOUND.items():
         figures.setdefault(name, np.full(3000, value))
     gain, work = rng.choice([-1e-5, 0.0, 1e-8, 2.9e-6, 5e-6, NAN], 3000), rng.choice([0.0, 2e-5, 3e-5], 3000)
-    verdict = calm(figures, gain, work, limit)
+    verdict = calm(figures, gain, work, limit, least_stress(scene))
     for k, quiet in enumerate(verdict):
         one = {name: float(values[k]) for name, values in figures.items()}
         try:
