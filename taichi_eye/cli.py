@@ -1,8 +1,8 @@
-"""The command line: `taichi-eye run SCENE.toml`, `analyze FILM`, and `verify`, `stability`, `clinic`,
-`claims`, `films`, `bench`.
+"""The command line: `taichi-eye run SCENE.toml`, `analyze FILM`, `chart SCENE.toml`, and `verify`, `stability`, `clinic`,
+`claims`, `films`, `choices`, `bench`.
 
 Exit status: 0 done; 1 the run left its validity and was stopped (what was computed so far is in the run folder), or a
-row of `verify`, `films` or `bench` does not hold; 2 bad input, nothing written; 130 interrupted.
+row of `verify`, `films`, `choices` or `bench` does not hold; 2 bad input, nothing written; 130 interrupted.
 """
 import argparse
 import os
@@ -35,6 +35,7 @@ def parser() -> argparse.ArgumentParser:
     for name, what in (("verify", "compare the solver's kernels with exact answers"),
                        ("stability", "map where the methods fail, with the theory drawn on"),
                        ("films", "hold rendered frames against the instrument's, and their reading against the eyes filmed"),
+                       ("choices", "put fidelity = \"auto\" to varied scenes: its true error and its cost"),
                        ("bench", "measure how fast it is, each figure beside what is asked of it")):
         proof = commands.add_parser(name, help=what, description=f"{what.capitalize()}; writes one table and one page.")
         proof.add_argument("--only", metavar="NAME", action="append", default=[], help="one part of it; may be repeated")
@@ -61,7 +62,24 @@ def parser() -> argparse.ArgumentParser:
     claims.add_argument("--json", metavar="FILE", help="also write claims, sensitivities and all runs as JSON")
     claims.add_argument("--quiet", action="store_true", help="no progress bar")
     claims.set_defaults(do=_claims)
+    _add_chart(commands)
     return top
+
+
+def _add_chart(commands) -> None:
+    chart = commands.add_parser("chart", help="chart speed against accuracy: rungs and settings side by side",
+                                description="Run a scene under every rung of the ladder and many settings, and chart wall time "
+                                "against error: chart.png, chart.html, chart.json. Can be interrupted and resumed.")
+    chart.add_argument("scene", nargs="?", help="scene file (TOML); without one, the default eye")
+    chart.add_argument("--set", dest="overrides", metavar="SECTION.KEY=VALUE", action="append", default=[],
+                       help="override a key of the scene; may be repeated")
+    chart.add_argument("--budget", type=_positive, default=300.0, metavar="SECONDS",
+                       help="points that do not fit are passed over (default: 300)")
+    chart.add_argument("--out", metavar="DIR", help="folder of the chart, new or empty (default: under renders/)")
+    chart.add_argument("--resume", metavar="DIR", help="go on with the chart in this folder")
+    chart.add_argument("--json", metavar="FILE", help="the figures as JSON, a copy of chart.json")
+    chart.add_argument("--quiet", action="store_true", help="no progress bar")
+    chart.set_defaults(do=_chart)
 
 
 def _add_analyze(commands) -> None:
@@ -201,5 +219,39 @@ def _claims(given) -> int:
         write_text(Path(given.json), claims_page.as_json(results))
     for verdict in claims_page.verdicts(results):
         print(f"{verdict.claim}: {verdict.holds}")
+    print(page)
+    return 0
+
+
+def _chart(given) -> int:
+    from taichi_eye.ladder import chart, chart_page
+    from taichi_eye.report.folder import create_run_folder, write_text
+    from taichi_eye.scene import load_scene
+    from tqdm import tqdm
+
+    scene = load_scene(given.scene, given.overrides)
+    if given.resume and given.out:
+        raise SceneError("--resume goes on in the chart's own folder: leave --out out")
+    _refuse_unwritable(given.json)
+    points = chart.read(Path(given.resume), scene) if given.resume else {}
+    folder = Path(given.resume) if given.resume else create_run_folder(given.out, "chart")
+    with tqdm(unit=" points", disable=given.quiet, dynamic_ncols=True) as bar:
+
+        def tell(label, done, total):
+            bar.total = total
+            bar.set_description_str(label)
+            bar.update(done - bar.n)
+
+        try:
+            charted = chart.measure(scene, folder, points, given.budget, tell)
+        except KeyboardInterrupt:
+            bar.close()
+            print(f"taichi-eye: interrupted; go on with --resume {folder}", file=sys.stderr)
+            return 130
+    page = chart_page.write(charted, folder, f"taichi-eye chart {given.scene or ''}")
+    if given.json:
+        write_text(Path(given.json), (folder / "chart.json").read_text(encoding="utf-8"))
+    for line in chart_page.words(charted):
+        print(line)
     print(page)
     return 0

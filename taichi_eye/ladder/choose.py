@@ -4,11 +4,12 @@ The estimates are computed for the scene at hand, cheapest first, and the climb 
 where a pilot is already the run that was asked for, it is the run. All in percent of the quantities of
 `taichi_eye.ladder.misfit`, each pair of pilots differing in one thing:
 
-    space       cavity with 16 elements against 8: a third of their difference is the error of the 16, and goes as h^2. All
-                rungs carry the membrane's error, which dominates. Once inertia counts, thin-layer runs take their place.
-    inertia     thin-layer flow (`taichi_eye.solver.potential`) against cavity, both with 8 elements.
+    space       cavity with 32 elements against 8: a fifteenth of their difference is the error of the 32, and goes as h^2.
+                All rungs carry the membrane's error, which dominates. Once inertia counts, thin-layer runs with 16 and 8
+                take their place.
+    inertia     thin-layer flow (`taichi_eye.solver.potential`) in the chamber at rest against cavity, both with 8 elements.
     IOP         of `membrane` in a sealed chamber: the pressure's rise over the puff's.
-    flow map    of `added_mass`: thin layer refreshed at 0.5 spacings against 0.25; goes with the travel.
+    flow map    of `added_mass`: thin layer with 8 elements refreshed at 0.5 spacings against 0.25; goes with the travel.
     viscosity   of every rung but `mfpm`: what the flow of the thin layer would lose to viscosity, over the puff's work.
     sound speed of `mfpm`: cavity that yields as the liquid does at c = 40 m/s against one that does not; goes as c^-2.
 
@@ -29,7 +30,8 @@ from taichi_eye.scene import Scene
 from taichi_eye.solver.reduced import Reduced
 from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
 
-ELEMENTS = 16  # of the coarsest cornea offered; its pilots have half as many
+PILOT = 8  # elements of the coarsest pilots
+OFFERED = 4 * PILOT  # of the coarsest uniform rung offered: it costs 10 ms, and fewer make a film of a polygon
 MARGIN = 0.15  # share of the tolerance that the estimates leave free
 COARSEST_MM, FINEST_MM = 0.4, 0.05  # spacings offered where nodes are packed, and the finest at all
 PILOT_C = 40.0  # m/s
@@ -120,14 +122,13 @@ class _Climb:
     def _uniform(self) -> bool:
         """membrane and cavity: no flow."""
         tolerance, sealed = self.numerics.tolerance_percent, self.scene.chamber.sealed
-        half = self._pilot("cavity", ELEMENTS // 2)
-        thin = self._pilot("layer", ELEMENTS // 2)
-        self.inertia, self.viscous = self._apart(half, thin), viscous_share(thin)
+        rough, thin = self._pilot("cavity", PILOT), self._pilot("layer", PILOT, refresh_travel=10.0)
+        self.inertia, self.viscous = self._apart(rough, thin), viscous_share(thin)
         if self.inertia + self.viscous > self.allowed:
             self.choice.estimates["cavity"] = {"inertia": self.inertia, "viscosity": self.viscous}
             return False
-        full = self._pilot("cavity", ELEMENTS)
-        space, size = self._apart(full, half) / 3.0, self.length_mm / ELEMENTS
+        full = self._pilot("cavity", OFFERED)
+        space, size = self._apart(full, rough) / 15.0, self.length_mm / OFFERED
         errors = {"inertia": self.inertia, "viscosity": self.viscous, "space": space}
         pressure = full.traces["fluid_pressure_apex_kpa"]
         rise = 100.0 * float(np.abs(pressure - pressure[0]).max()) / max(float(full.puff.peak) * 1e-3, 1e-9)
@@ -144,9 +145,12 @@ class _Climb:
 
     def _added_mass(self) -> bool:
         tolerance = self.numerics.tolerance_percent
-        fine, coarse = self._pilot("layer", 2 * ELEMENTS), self._pilot("layer", ELEMENTS)
-        often = self._pilot("layer", ELEMENTS, refresh_travel=0.25)
-        size = self.length_mm / ELEMENTS
+        try:
+            elements, (coarse, often, fine) = PILOT, self._layers(PILOT)
+        except _Refused:
+            # so lively that eight elements blow up
+            elements, (coarse, often, fine) = 2 * PILOT, self._layers(2 * PILOT)
+        size = self.length_mm / elements
         self.space, self.size = self._apart(fine, coarse) / 3.0, 0.5 * size
         lag = self._apart(coarse, often) / 0.25  # per spacing of travel at `size`
         self.viscous = viscous_share(fine)
@@ -162,16 +166,20 @@ class _Climb:
                           f"{self.choice.estimates['added_mass']['space']:.2g} % stays within {tolerance:g} %",
                           refresh_travel=travel)
 
+    def _layers(self, elements):
+        return (self._pilot("layer", elements), self._pilot("layer", elements, refresh_travel=0.25),
+                self._pilot("layer", 2 * elements))
+
     def _mfpm(self) -> None:
         tolerance = self.numerics.tolerance_percent
         space, size = getattr(self, "space", 1.0), getattr(self, "size", 0.25)
         try:
-            stiff = self._pilot("cavity", ELEMENTS // 2)
+            stiff = self._pilot("cavity", PILOT)
             volume = stiff.section.volume()
             give = volume / (self.scene.aqueous.density_kg_m3 * PILOT_C**2) / MM3 * MMHG
             chamber = replace(self.scene.chamber,
                               compliance_mm3_mmhg=self.scene.chamber.compliance_mm3_mmhg + give)
-            soft = self._apart(self._pilot("cavity", ELEMENTS // 2, replace(self.scene, chamber=chamber)), stiff)
+            soft = self._apart(self._pilot("cavity", PILOT, replace(self.scene, chamber=chamber)), stiff)
         except _Refused:
             soft = 1.0  # what the default eye has
         best = None
