@@ -4,7 +4,7 @@ import math
 import time
 from pathlib import Path
 
-from taichi_eye.proof import membranes, squeeze, viscous, waves
+from taichi_eye.proof import added_mass, membranes, squeeze, viscous, waves
 from taichi_eye.proof.rows import Row
 from taichi_eye.report.folder import create_run_folder, write_text
 from taichi_eye.report.page import draw, picture, table, write_page
@@ -15,6 +15,7 @@ PARTS = {
     "acoustics": waves.acoustics,
     "cylinder": waves.coupled_cylinder,
     "eye": waves.eye_modes,
+    "added-mass": added_mass.added_mass,
     "hencky": membranes.hencky,
     "poiseuille": viscous.poiseuille,
     "womersley": viscous.womersley,
