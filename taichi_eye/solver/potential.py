@@ -2,13 +2,21 @@
 
 The velocity is the gradient of phi with lap phi = q in the chamber, q uniform (0 where the chamber is sealed, the sink of
 an open one), d phi/dn = wall velocity on the cornea and 0 on the rigid back, mirrored at the axis. Collocated on the MFPM
-cloud: a Laplacian row on interior nodes, a normal-derivative row on boundary ones, the mean of phi set to zero, q the
-multiplier that this and the wall's fluxes ask for. One sparse LU, solved for a unit flux through each wall node's ring,
-gives the flow map F [nodes, walls] (potential of every node per ring flux, 1/m) and its wall rows, the Neumann-to-Dirichlet
-matrix N. With Q_i = G_i . v_i the flux of ring i (G its area vector) the liquid's kinetic energy is rho/2 Q^T N Q, so N would be
-symmetric in exact arithmetic of a Galerkin method. Collocation leaves it unsymmetric by 1-8 %, most in the column of the
-apex, whose ring is tiny: what a flux through that ring alone does far away is resolved badly and hardly matters, while the
-row is accurate (0.01 % for J0 modes at 40 nodes). Taking the symmetric part instead mixes the two: 30 % wrong at the apex.
+cloud: the Laplacian row on interior nodes, on boundary ones the Laplacian of a fit that has the normal derivative built in,
+the mean of phi set to zero, q the multiplier that this and the wall's fluxes ask for.
+
+Boundary rows. With n and s across and along the wall and g = d phi/dn given, the quadratic fit is
+phi_j - phi_i - g n_j = s_j D_s + n_j^2/2 D_nn + n_j s_j D_ns + s_j^2/2 D_ss (Wendland weights as in `taichi_eye.mfpm`), and its
+Laplacian is set to q: both the equation and the condition hold there. Collocating the one-sided normal derivative alone
+makes the wall 4-8 times heavier than it should be: the first three modes of the cylinder of `taichi-eye verify` at 0.3 mm are
+-1.1/-2.8/-4.5 % off, with the cubic basis -0.5/-1.2/-2.5 %, with the fit +0.4/-0.2/-0.8 %.
+
+One sparse LU, solved for a unit flux through each wall node's ring, gives the flow map F [nodes, walls] (potential of every
+node per ring flux, 1/m) and its wall rows, the Neumann-to-Dirichlet matrix N. With Q_i = G_i . v_i the flux of ring i (G its
+area vector) the liquid's kinetic energy is rho/2 Q^T N Q, so N would be symmetric in exact arithmetic of a Galerkin method.
+Collocation leaves it unsymmetric by some percent, most in the column of the apex, whose ring is tiny: what a flux through that
+ring alone does far away is resolved badly and hardly matters, while the row is accurate. Taking the symmetric part instead
+mixes the two: 30 % wrong at the apex.
 
 The wall pressure follows from Bernoulli's equation on the moving nodes (`taichi_eye.solver.reduced`).
 """
@@ -17,8 +25,8 @@ import taichi as ti
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
-from taichi_eye.cloud.packing import FREE, SLIDE, Cloud
-from taichi_eye.mfpm.neighbours import image_of
+from taichi_eye.cloud.packing import FIXED, FREE, SLIDE, Cloud
+from taichi_eye.mfpm.operators import WEIGHT_RADIUS
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.cornea import Cornea
 from taichi_eye.solver.motion import Motion
@@ -55,19 +63,31 @@ class PotentialFlow:
         size = self.aqueous.operators.size.to_numpy()[:count]
         self.width = int(size.max())
         entry = self.aqueous.neighbours.entry.to_numpy()[:count, :self.width]
-        node = np.where(entry < 0, -1 - entry, entry)
         used = np.arange(self.width) < size[:, None]
+        node = np.where(used, np.where(entry < 0, -1 - entry, entry), 0)
         rows, slots = np.nonzero(used)
         self.pick = rows, slots
         interior = self._interior(cloud)
         inside = np.flatnonzero(interior)
         every = np.arange(count)
-        # entries, diagonal, the source q, the mean of phi
-        self.row = np.concatenate([rows, every, inside, np.full(count, count)])
-        self.column = np.concatenate([node[used], every, np.full(len(inside), count), every])
+        # entries, diagonal, the mean of phi, the source q
+        self.row = np.concatenate([rows, every, np.full(count, count), inside])
+        self.column = np.concatenate([node[used], every, every, np.full(len(inside), count)])
         self.source = np.full(len(inside), -1.0)
         self.interior = interior.astype(np.int32)
         self.count = count
+        self._setup_fits(cloud, node, entry, used)
+
+    def _setup_fits(self, cloud, node, entry, used) -> None:
+        """Stencils and rigid normals of the boundary nodes; corners, where two walls meet, keep the normal derivative."""
+        fitted = np.flatnonzero(~(self.interior.astype(bool)) & (cloud.kind != FIXED))
+        self.fitted, self.fit_node, self.fit_used = fitted, node[fitted], used[fitted]
+        self.fit_sign = np.where(entry[fitted] < 0, -1.0, 1.0)
+        self.fit_normal = np.column_stack([-cloud.direction[fitted, 1], cloud.direction[fitted, 0]])
+        self.fit_walls = int((fitted < cloud.wall_count).sum())
+        self.row = np.concatenate([self.row, fitted])
+        self.column = np.concatenate([self.column, np.full(len(fitted), self.count)])
+        self.source = np.full(len(self.source) + len(fitted), -1.0)
 
     @staticmethod
     def _interior(cloud) -> np.ndarray:
@@ -86,8 +106,6 @@ class PotentialFlow:
                     ring[0] = 0.0
                 area[i] = ring.norm()
                 normal = ring / area[i]
-            elif self.aqueous.kind[i] == SLIDE:
-                normal = ti.Vector([-self.aqueous.slide[i][1], self.aqueous.slide[i][0]])
             total = 0.0
             for k in range(self.aqueous.operators.size[i]):
                 weight = 0.0
@@ -107,13 +125,47 @@ class PotentialFlow:
         value, diagonal = np.zeros((self.count, self.width)), np.zeros(self.count)
         volume, area = np.zeros(self.count), np.zeros(self.walls)
         self._assemble(self.interior, value, diagonal, volume, area, self.spacing)
-        data = np.concatenate([value[self.pick], diagonal, self.source, volume / volume.sum()])
+        load = np.full(self.walls, self.spacing)
+        self._fit(value, diagonal, load)
+        data = np.concatenate([value[self.pick], diagonal, volume / volume.sum(), self.source])
         matrix = csc_matrix((data, (self.row, self.column)), shape=(self.count + 1, self.count + 1))
         fluxes = np.zeros((self.count + 1, self.walls))
         moving = np.arange(self.walls - 1)
-        fluxes[moving, moving] = self.spacing / area[:-1]
+        fluxes[moving, moving] = load[:-1] / area[:-1]
         self.flow = splu(matrix).solve(fluxes)[:self.count]
         self.neumann = self.flow[:self.walls].copy()
+
+    def _fit(self, value, diagonal, load) -> None:
+        """Boundary rows with the condition built in; load [walls]: what multiplies d phi/dn on the right-hand side."""
+        place = self.aqueous.place.to_numpy()[:self.count].astype(float)
+        here = place[self.fitted]
+        normal = self.fit_normal.copy()
+        rings = ring_areas(place[:self.walls])[:self.fit_walls]
+        normal[:self.fit_walls] = rings / np.linalg.norm(rings, axis=1)[:, None]
+        along = np.column_stack([normal[:, 1], -normal[:, 0]])
+        arm = place[self.fit_node]
+        arm[..., 0] *= self.fit_sign
+        arm -= here[:, None]
+        length = np.where(self.fit_used, np.linalg.norm(arm, axis=2), 0.0)
+        radius = length.max(1)
+        q = length / (WEIGHT_RADIUS * radius[:, None])
+        weight = np.where(self.fit_used, np.maximum(1.0 - q, 0.0) ** 4 * (1.0 + 4.0 * q), 0.0)
+        n, s = (np.einsum("ijk,ik->ij", arm, axis) / radius[:, None] for axis in (normal, along))
+        basis = np.stack([s, 0.5 * n * n, n * s, 0.5 * s * s], axis=2)
+        weighted = basis * weight[..., None]
+        # derivatives D_s, D_nn, D_ns, D_ss per difference, [nodes, 4, entries]
+        derivative = np.linalg.solve(np.einsum("ijk,ijl->ikl", weighted, basis), weighted.transpose(0, 2, 1))
+        r = here[:, 0]
+        on_axis = r <= 0.0
+        off_axis = np.where(on_axis, np.inf, r)
+        row = derivative[:, 1] + derivative[:, 3]
+        row += derivative[:, 0] * (along[:, 0] * radius / off_axis)[:, None]
+        # on the axis d/dr / r is d^2/dr^2, along the wall there
+        row[on_axis] += derivative[on_axis, 3]
+        row *= (self.spacing / radius[:, None]) ** 2
+        value[self.fitted] = row
+        diagonal[self.fitted] = -row.sum(1)
+        load[:self.fit_walls] = ((row * n).sum(1) * radius - normal[:, 0] / off_axis * self.spacing**2)[:self.fit_walls]
 
     def show(self, potential: np.ndarray, rate: np.ndarray, wall_pressure: float, density: float) -> None:
         """Fill the liquid's velocity and excess pressure from phi and d phi/dt of each node, which moves with the wall.
