@@ -17,7 +17,7 @@ import taichi as ti
 from tqdm import tqdm
 
 from taichi_eye import backend
-from taichi_eye.bench import batch, gpu, packing, startup
+from taichi_eye.bench import batch, gpu, packing, peers, startup
 from taichi_eye.bench.rows import Row
 from taichi_eye.report.folder import create_run_folder, write_text
 from taichi_eye.report.page import picture, plain, table, write_page
@@ -26,6 +26,7 @@ PARTS = {
     "startup": startup.measure,
     "packing": packing.measure,
     "batch": batch.measure,
+    "peers": peers.measure,
     "gpu": gpu.measure,
 }
 HEAD = ("quantity", "value", "asked", "", "sizes and settings")

@@ -147,6 +147,23 @@ def tube_cloud(radius: float, period: float, spacing: float) -> tuple[Cloud, Ima
     return cloud, images
 
 
+def periodic_box(spacing: float) -> tuple[Cloud, Images]:
+    """The unit square 0 <= x <= 1, -1 <= z <= 0, periodic both ways: a packed quarter and its mirror images."""
+    quarter = vessel_cloud(Vessel(0.5, 0.5, planar=True), spacing).points
+    edge = 1e-9 * spacing
+    # the edges in the middle once, those at the far ends not at all: they are images
+    right = quarter[(quarter[:, 0] > edge) & (quarter[:, 0] < 0.5 - edge)] * (-1.0, 1.0) + (1.0, 0.0)
+    upper = np.vstack([quarter, right])
+    lower = upper[(upper[:, 1] < -edge) & (upper[:, 1] > -0.5 + edge)] * (1.0, -1.0) + (0.0, -1.0)
+    points = np.vstack([upper, lower])
+    count = len(points)
+    cloud = bare_cloud(Vessel(1.0, 1.0, planar=True), spacing, points, np.full(count, FREE, dtype=np.int32),
+                       np.zeros((count, 2)))
+    maps = [((1.0, x), (1.0, z)) for x in (0.0, -1.0, 1.0) for z in (0.0, -1.0, 1.0)][1:]
+    low, high = edge_below(spacing) - 1.0, 1.0 - edge_below(spacing)
+    return cloud, _copies(points, maps, (0.0, high, low, 0.0), REACH * spacing, edge)
+
+
 def edge_below(spacing: float) -> float:
     """A hair [m] below the top edge, so that the image of the bottom row at the top counts as outside."""
     return 1e-6 * spacing
