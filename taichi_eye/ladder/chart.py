@@ -115,7 +115,7 @@ class Chart:
             line = [point for h in SPACINGS if (point := self.points.get(Setting(rung, h).label))]
             if self.reference is None or len(line) < 2:
                 continue
-            own = extrapolate(line[-1].traces, line[-2].traces, 2.0**0.5)
+            own = _own_limit(line)
             for point in line:
                 found[point.setting.label] = {"model": misfit(own, self.reference).history,
                                               "space": misfit(point.traces, own).history}
@@ -156,9 +156,15 @@ def slope(x, y) -> float:
     return float(np.polyfit(np.log(np.asarray(x, dtype=float)), np.log(np.asarray(y, dtype=float)), 1)[0])
 
 
+def _own_limit(line) -> dict[str, np.ndarray]:
+    """The limit h -> 0 of points refined in h alone, coarsest first."""
+    coarse, fine = line[-2:]
+    return extrapolate(fine.traces, coarse.traces, coarse.setting.spacing_mm / fine.setting.spacing_mm)
+
+
 def _order(name, line) -> dict[str, float]:
     """The order of convergence of points refined by sqrt 2, against their own extrapolated limit."""
-    own = extrapolate(line[-1].traces, line[-2].traces, 2.0**0.5)
+    own = _own_limit(line)
     return {name: slope([p.setting.spacing_mm for p in line[:-1]], [misfit(p.traces, own).history for p in line[:-1]])}
 
 
