@@ -1,0 +1,49 @@
+"""Taichi's front end by the short ways: the same sources, the same kinds of kernels, errors that still say where."""
+import inspect
+
+import pytest
+import taichi as ti
+
+from taichi_eye import backend, frontend
+from taichi_eye.mfpm import neighbours
+from taichi_eye.solver.cornea import Cornea
+
+
+@ti.data_oriented
+class Counter:
+    def __init__(self):
+        self.value = ti.field(ti.i32, ())
+
+    @ti.func
+    def increased(self, by):
+        return self.value[None] + by
+
+    @ti.kernel
+    def count(self, by: int) -> int:
+        self.value[None] = self.increased(by)
+        return self.value[None]
+
+
+@ti.kernel
+def broken() -> int:
+    return never_heard_of  # noqa: F821
+
+
+@pytest.mark.parametrize("function", [neighbours.NeighbourLists.search, neighbours.place_of, Cornea.setup, backend.init],
+                         ids=lambda function: function.__name__)
+def test_source_lines_are_those_of_inspect(function):
+    function = inspect.unwrap(getattr(function, "fn", function))
+    assert frontend._source_lines(function) == inspect.getsourcelines(function)
+
+
+def test_kernels_in_a_class_know_their_object():
+    backend.real()
+    one, other = Counter(), Counter()
+    assert [one.count(2), one.count(3), other.count(4)] == [2, 5, 4]
+
+
+def test_a_compile_error_says_file_line_and_function():
+    backend.real()
+    line = inspect.getsourcelines(broken)[1] + 2
+    with pytest.raises(ti.TaichiNameError, match=f'test_frontend.py", line {line}, in broken'):
+        broken()
