@@ -107,3 +107,13 @@ def test_without_a_gpu_the_part_is_one_row_that_says_so(monkeypatch):
     monkeypatch.setattr(gpu.backend, "init", init)
     rows, figures = gpu.measure(lambda text: None)
     assert [row.value for row in rows] == [None] and rows[0].note == "skipped: no CUDA device" and figures == []
+
+
+def test_with_a_gpu_the_table_compares_steps_and_answers(monkeypatch):
+    # a CPU in the GPU's place: the same kernels, so the same answers
+    monkeypatch.setattr(gpu.backend, "init", lambda arch, *rest: None)
+    rows, _ = gpu.measure(lambda text: None, spacings_mm=(0.3,))
+    value = {row.name.split(" at ")[0] + row.name.rpartition(",")[2]: row.value for row in rows}
+    assert len(rows) == 4 and value["coupled step cpu"] > 0.0 and value["coupled step cuda"] > 0.0
+    assert rows[2].value == pytest.approx(value["coupled step cpu"] / value["coupled step cuda"])
+    assert rows[3].value == 0.0 and rows[3].holds
