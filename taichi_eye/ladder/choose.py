@@ -24,6 +24,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from taichi_eye.errors import RunStopped
+from taichi_eye.eye.section import Section
 from taichi_eye.ladder.misfit import misfit
 from taichi_eye.ladder.rungs import with_numerics
 from taichi_eye.scene import Scene
@@ -74,6 +75,14 @@ def choose(scene: Scene) -> Choice:
     return choice
 
 
+@dataclass(frozen=True)
+class _Pilot:
+    """Traces of a finished pilot, and its viscous share."""
+
+    traces: dict
+    viscous: float
+
+
 class _Climb:
     """One scene's pilots and the way up."""
 
@@ -94,7 +103,7 @@ class _Climb:
         self._mfpm()
         return self.choice
 
-    def _pilot(self, model, elements, scene=None, **numerics) -> Reduced:
+    def _run(self, model, elements, scene=None, **numerics) -> Reduced:
         """A finished run of a reduced model; _Refused where it leaves its validity."""
         spacing = self.length_mm / elements
         named = "added_mass" if model == "layer" else model
@@ -107,7 +116,12 @@ class _Climb:
             raise _Refused from None
         return simulation
 
-    def _apart(self, one: Reduced, other: Reduced) -> float:
+    def _pilot(self, *model, **numerics) -> _Pilot:
+        """What is kept of such a run: the next pilot takes over its fields and kernels."""
+        simulation = self._run(*model, **numerics)
+        return _Pilot(simulation.traces, viscous_share(simulation))
+
+    def _apart(self, one, other) -> float:
         return misfit(one.traces, other.traces).of(self.numerics.tolerance_on)
 
     def _take(self, rung, spacing_mm, reason, simulation=None, **numerics) -> bool:
@@ -123,11 +137,11 @@ class _Climb:
         """membrane and cavity: no flow."""
         tolerance, sealed = self.numerics.tolerance_percent, self.scene.chamber.sealed
         rough, thin = self._pilot("cavity", PILOT), self._pilot("layer", PILOT, refresh_travel=10.0)
-        self.inertia, self.viscous = self._apart(rough, thin), viscous_share(thin)
+        self.inertia, self.viscous = self._apart(rough, thin), thin.viscous
         if self.inertia + self.viscous > self.allowed:
             self.choice.estimates["cavity"] = {"inertia": self.inertia, "viscosity": self.viscous}
             return False
-        full = self._pilot("cavity", OFFERED)
+        full = self._run("cavity", OFFERED)
         space, size = self._apart(full, rough) / 15.0, self.length_mm / OFFERED
         errors = {"inertia": self.inertia, "viscosity": self.viscous, "space": space}
         pressure = full.traces["fluid_pressure_apex_kpa"]
@@ -153,7 +167,7 @@ class _Climb:
         size = self.length_mm / elements
         self.space, self.size = self._apart(fine, coarse) / 3.0, 0.5 * size
         lag = self._apart(coarse, often) / 0.25  # per spacing of travel at `size`
-        self.viscous = viscous_share(fine)
+        self.viscous = fine.viscous
         left = self.allowed - self.viscous
         spacing = min(self._finest(self.space, self.size, 0.75 * left), COARSEST_MM, self._roomiest())
         travel = min(0.5, float(0.25 * left / max(lag * spacing / size, 1e-12))) if left > 0.0 else 0.0
@@ -175,7 +189,7 @@ class _Climb:
         space, size = getattr(self, "space", 1.0), getattr(self, "size", 0.25)
         try:
             stiff = self._pilot("cavity", PILOT)
-            volume = stiff.section.volume()
+            volume = Section.from_scene(self.scene).volume()
             give = volume / (self.scene.aqueous.density_kg_m3 * PILOT_C**2) / MM3 * MMHG
             chamber = replace(self.scene.chamber,
                               compliance_mm3_mmhg=self.scene.chamber.compliance_mm3_mmhg + give)
