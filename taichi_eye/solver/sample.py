@@ -13,6 +13,8 @@ from taichi_eye.solver.coupling import SERIAL_NODES, Coupling
 from taichi_eye.solver.motion import Motion
 from taichi_eye.solver.survey import QUANTITIES, Survey
 
+BLOCK = 512  # least iterations of a parallel loop that Taichi hands to a CPU thread at once
+
 
 @ti.data_oriented
 class Sampler:
@@ -67,5 +69,7 @@ class Sampler:
 
     @ti.kernel
     def _take_each(self, pace: ti.types.ndarray(), puff: ti.types.ndarray(), rows: ti.types.ndarray()):
-        for k in range(pace.shape[0]):
-            self._carry_through(k, pace, puff, rows)
+        # a block to an eye: 32 iterations, however heavy, would all go to one thread
+        for n in range(pace.shape[0] * BLOCK):
+            if n % BLOCK == 0:
+                self._carry_through(n // BLOCK, pace, puff, rows)
