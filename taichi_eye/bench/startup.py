@@ -111,13 +111,14 @@ def stages() -> None:
     from taichi_eye import backend, pipeline
     from taichi_eye.film import FilmView, FrameState
     from taichi_eye.scene import load_scene
+    from taichi_eye.solver.simulation import Simulation
     lap("imports")
     backend.init()
     lap("Taichi's start")
     scene, other = (load_scene(None, [f"numerics.spacing_mm={h}", "numerics.sound_speed_m_s=40"]) for h in (0.25, 0.16))
     cloud = pipeline.cloud_of(scene)
     lap("packing")
-    simulation = pipeline.Simulation(scene, cloud)
+    simulation = Simulation(scene, cloud)
     lap("solver set-up")
     view = FilmView(scene)
     lap("film set-up")
@@ -140,5 +141,5 @@ def stages() -> None:
     del simulation
     cloud = pipeline.cloud_of(other)
     lap("packing the second scene")
-    pipeline.Simulation(other, cloud).run(on_sample=first_sample("second scene's set-up and first sample"))
+    Simulation(other, cloud).run(on_sample=first_sample("second scene's set-up and first sample"))
     print(json.dumps(clock))

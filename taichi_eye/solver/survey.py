@@ -106,7 +106,8 @@ class Survey:
                 flattest, flat = share, self.aqueous.triangle[t, 0]
         least, slackest = ti.math.inf, first
         in_plane, transverse, step = 0.0, 0.0, ti.math.inf
-        density = self.cornea.mass[first + 1] / (0.5 * (self.cornea.element_volume[first] + self.cornea.element_volume[first + 1]))
+        around = 0.5 * (self.cornea.element_volume[first] + self.cornea.element_volume[first + 1])
+        density = self.cornea.mass[first + 1] / around
         for k in range(first, first + walls - 1):
             strain = self.cornea.strain_of(k)
             stress, energy = self.cornea.stress_of(eye, strain, self.cornea.prestrain[k])
@@ -139,9 +140,9 @@ class Survey:
             self.cornea.puff_work[eye],
             self.cornea.elastic_energy(eye) - self.rest_energy[eye], self.cornea.kinetic_energy(eye), kinetic,
             elastic + self.cornea.iop[eye] * (rest_volume - volume) + 0.5 * yielded * mean, viscous, numerical,
-            carried, least, slackest - first, in_plane, transverse, step, ti.sqrt(gap), flattest, flat - first, heaviest, worst,
-            ill - first, room, near - first, ti.select(bad >= 0, 1.0, 0.0), ti.max(bad - first, -1), travel, self.coupling.sweeps[eye], self.coupling.worst_residual[eye],
-            self.coupling.status[eye]))
+            carried, least, slackest - first, in_plane, transverse, step, ti.sqrt(gap), flattest, flat - first, heaviest,
+            worst, ill - first, room, near - first, ti.select(bad >= 0, 1.0, 0.0), ti.max(bad - first, -1), travel,
+            self.coupling.sweeps[eye], self.coupling.worst_residual[eye], self.coupling.status[eye]))
         for q in ti.static(range(len(QUANTITIES))):
             rows[eye, q] = figures[q]
         self.coupling.sweeps[eye] = 0

@@ -4,7 +4,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from taichi_eye.eye.puff import Puff
+from taichi_eye.eye.puff import Puff, Puffs
 from taichi_eye.scene import load_scene
 
 
@@ -80,3 +80,13 @@ def test_shapes(course):
     assert got.shape == (3, 4)
     assert got[1, 2] == load.pressure_at_apex(t[1, 2]) and np.ndim(load.pressure_at_apex(0.01)) == 0
     assert load.radial(np.zeros((2, 5))).shape == (2, 5)
+
+
+def test_puffs_of_many_eyes_are_each_ones_own_bit_for_bit(tmp_path):
+    (tmp_path / "puff.csv").write_text("time_ms,pressure_kpa\n0,0\n10,7\n25,0\n", encoding="utf-8")
+    loads = [puff(), puff("puff.time_course=corvis", "puff.peak_kpa=13"), puff("puff.duration_ms=20", "puff.spread_b=18"),
+             puff("puff.time_course=file", f"puff.file={tmp_path / 'puff.csv'}"), puff("puff.time_course=corvis")]
+    t = np.random.default_rng(0).uniform(0.0, 0.032, (len(loads), 40))
+    for chosen in (loads, loads[:1], loads[3:4], [loads[0], loads[2]]):
+        together = Puffs(chosen).pressure_at_apex(t[:len(chosen)])
+        np.testing.assert_array_equal(together, [load.pressure_at_apex(at) for load, at in zip(chosen, t)])

@@ -1,10 +1,11 @@
 """Limits of the time step from made-up figures."""
 import math
 
+import numpy as np
 import pytest
 
 from taichi_eye.scene import load_scene
-from taichi_eye.solver.timestep import limits, stable_step
+from taichi_eye.solver.timestep import StepLimits, limits, stable_step
 
 FIGURES = {"smallest_gap": 0.8e-4, "membrane_step": 2e-6, "membrane_speed": 25.0, "transverse_speed": 5.0,
            "pair_weight": 1e7}
@@ -75,3 +76,13 @@ def test_step_is_the_smallest_limit_times_cfl(overrides, figures, name, cfl):
     step, limit = stable_step({**FIGURES, **figures}, scene)
     assert limit == name
     assert step == pytest.approx(cfl * min(limits({**FIGURES, **figures}, scene).values()))
+
+
+def test_many_scenes_have_each_its_own_step():
+    overrides = [(), ("numerics.sound_speed_m_s=160", "numerics.cfl=0.5"), ("aqueous.viscosity_mpa_s=1000",),
+                 ("cornea.density_kg_m3=100", "cornea.thickness_mm=0.01"), ("cornea.flexural_modulus_mpa=40",)]
+    scenes = [load_scene(None, keys) for keys in overrides]
+    figures = [{name: value * (1.0 + 0.3 * k) for name, value in FIGURES.items()} for k in range(len(scenes))]
+    steps, names = StepLimits(scenes).stable_steps({name: np.array([f[name] for f in figures]) for name in FIGURES})
+    assert len(set(names)) > 2
+    assert list(zip(steps, names)) == [stable_step(f, scene) for f, scene in zip(figures, scenes)]
