@@ -3,7 +3,8 @@
 Parameters are read from the computed wall itself (`taichi_eye.analysis.response`), no film between. Three tables: the scene,
 with z-scores against the published populations (`taichi_eye.analysis.norms`) and whether it lies within one standard deviation of
 one of them; the scene with one switch at a time set back to the default eye; slopes with IOP and central thickness (the rim
-along with it) by a straight line through five eyes, beside those over 194 eyes. A run that a guard stops shows why.
+along with it) by a straight line through five eyes, beside those over 194 eyes. A globe's compliance falls as one over its
+pressure (Friedenwald), so it does along the eyes of other IOPs. A run that a guard stops shows why.
 """
 from __future__ import annotations
 
@@ -110,7 +111,9 @@ def report(path: str, overrides=(), out: str | None = None, json_file: str | Non
     if scene.puff.peak_kpa == 0.0:
         raise SceneError(f"{path}: puff.peak_kpa = 0: an eye without a puff has no dynamic response")
     switched = switches_of(scene, load_scene())
-    steps = [("IOP", [f"eye.iop_mmhg={scene.eye.iop_mmhg + step:.6g}"]) for step in IOP_STEPS_MMHG]
+    iop, yields = scene.eye.iop_mmhg, scene.chamber.compliance_mm3_mmhg
+    steps = [("IOP", [f"eye.iop_mmhg={iop + step:.6g}", f"chamber.compliance_mm3_mmhg={yields * iop / (iop + step):.6g}"])
+             for step in IOP_STEPS_MMHG]
     cornea = scene.cornea
     steps += [("CCT", [f"cornea.thickness_mm={cornea.thickness_mm + 1e-3 * step:.6g}",
                        f"cornea.limbus_thickness_mm={cornea.limbus_thickness_mm + 1e-3 * step:.6g}"])

@@ -72,7 +72,7 @@ EYES = (
     Eye("off centre, high", 1.05, 1.85, overrides=("camera.apex_column_px=322", "camera.apex_row_px=8",
                                                    "cornea.thickness_mm=0.58")),
     Eye("keratoconus-like: thin, quick", 1.25, 1.45, 0.06, (7.9, 2.0), (21.2, 1.1),
-        ("cornea.thickness_mm=0.456", "cornea.radius_mm=7.4")),
+        ("cornea.thickness_mm=0.456", "cornea.radius_mm=7.4", "eye.whole_eye_movement_mm=0.25")),
 )
 
 
