@@ -67,8 +67,8 @@ def report(only=(), out: str | None = None, json_file: str | None = None, say=la
                       *map(picture, figures)]
             write_page(folder / f"{command}.html", f"taichi-eye {command}", [f"<p>{plain(str(machine))}</p>", *shown])
             if json_file:
-                whole = {"machine": machine, "parts": {part: [row.as_dict() for row in rows] for part, rows in found.items()}}
-                write_text(Path(json_file), json.dumps(whole, indent=2) + "\n")
+                every = {part: [row.as_dict() for row in rows] for part, rows in found.items()}
+                write_text(Path(json_file), json.dumps({"machine": machine, "parts": every}, indent=2) + "\n")
             bar.update()
     asked = [row.holds for rows in found.values() for row in rows if row.holds is not None]
     missing = sum(row.value is None for rows in found.values() for row in rows)

@@ -81,7 +81,8 @@ def measure(stage):
         mine = [list(ours.values())]
         peers = [[theirs[name, nx] for nx in LATTICES] for name in schemes]
         rows += compare(title, mine, peers, levels, asked)
-        figures.append(plot(title, {"taichi_eye": mine[0], **{f"PySPH {name}": runs for name, runs in zip(schemes, peers)}}))
+        figures.append(plot(title, {"taichi_eye": mine[0],
+                                    **{f"PySPH {name}": runs for name, runs in zip(schemes, peers)}}))
     rows.append(skipped("jax-sph, Warp", "no distribution found by pip; no solver of such flows"))
     return rows, figures
 
@@ -106,14 +107,15 @@ def _keep(runs, key, run):
 
 
 def environment(stage) -> str:
-    """The Python of an environment with PySPH, made on first use in the user's cache folder; PeerMissing where it cannot be."""
+    """The Python of an environment with PySPH, made on first use in the user's cache folder; else PeerMissing."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "taichi_eye" / "peers"
     python = cache / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     ready = (str(python), "-c", "import pysph.examples.taylor_green")
     try:
         if not python.exists() or subprocess.run(ready, capture_output=True, timeout=PATIENCE_S).returncode:
             stage(f"installing {PACKAGE} in {cache}")
-            for command in ((sys.executable, "-m", "venv", str(cache)), (str(python), "-m", "pip", "install", PACKAGE), ready):
+            for command in ((sys.executable, "-m", "venv", str(cache)),
+                            (str(python), "-m", "pip", "install", PACKAGE), ready):
                 done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
                 if done.returncode:
                     last = (done.stderr.strip() or "no message").splitlines()[-1]
@@ -210,8 +212,8 @@ def plot(title, series) -> Figure:
         axes.loglog([run["error"] for run in runs], [run["seconds"] for run in runs], "o-", color=colour, label=name,
                     markersize=4, linewidth=1.5)
         for run in runs:
-            axes.annotate(str(run["nodes"]), (run["error"], run["seconds"]), (4, 4), textcoords="offset points", fontsize=7,
-                          color=colour)
+            axes.annotate(str(run["nodes"]), (run["error"], run["seconds"]), (4, 4), textcoords="offset points",
+                          fontsize=7, color=colour)
     axes.set(title=f"{title}: time to an error (numbers: nodes)", xlabel="L2 error of the velocity", ylabel="seconds")
     axes.grid(color="#e4e7ea", linewidth=0.6)
     axes.legend(fontsize=8, frameon=False)

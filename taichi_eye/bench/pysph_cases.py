@@ -35,8 +35,9 @@ def main(case, scheme, nx, perturb):
     wave = case == "standing-wave"
     app = (StandingWave if wave else TaylorGreen)(fname=case)
     with tempfile.TemporaryDirectory() as folder:
-        app.setup(["--scheme", scheme, "--nx", nx, "--perturb", perturb, "--re", "1e12" if wave else str(REYNOLDS), "--tf",
-                   str(PERIODS / c0) if wave else "1.0", "--disable-output", "--pfreq", "100000000", "--openmp", "--cache-nnps", "-d", folder])
+        app.setup(["--scheme", scheme, "--nx", nx, "--perturb", perturb, "--re", "1e12" if wave else str(REYNOLDS),
+                   "--tf", str(PERIODS / c0) if wave else "1.0", "--disable-output", "--pfreq", "100000000",
+                   "--openmp", "--cache-nnps", "-d", folder])
         started = time.perf_counter()
         app.solve()
         took = time.perf_counter() - started

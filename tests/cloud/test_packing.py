@@ -185,7 +185,8 @@ def all_pairs_relax(section, fixed, inner, spacing, rounds):
 def test_kept_lists_and_resting_nodes_change_nothing(name, spacing_mm, rounds):
     section, spacing = section_of(name), spacing_mm * MM
     fixed = boundary(section, spacing)[0]
-    r, z = np.meshgrid(np.arange(spacing, section.limbus_radius, spacing), np.arange(section.back_z, section.apex_z, 0.866 * spacing))
+    r, z = np.meshgrid(np.arange(spacing, section.limbus_radius, spacing),
+                       np.arange(section.back_z, section.apex_z, 0.866 * spacing))
     r[1::2] -= 0.5 * spacing
     inner = np.column_stack([r.ravel(), z.ravel()])
     inner = inner[section.wall_clearance(inner) > 0.6 * spacing]
