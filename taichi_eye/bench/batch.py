@@ -2,7 +2,8 @@
 
 32 eyes of one chamber that differ in IOP, puff and thickness. One after another: each set up and run alone by `Simulation`,
 as a script would, its node cloud given. At once: one `Batch`, its clouds given. Set-ups are timed apart: over a whole puff
-they are 1 % of an eye's time or less. The answers must be the same to the last bit.
+they are 1 % of an eye's time or less. Of each piece, an eye's run alone or a sample of the batch, some 0.1 s both, the best
+of several turns counts. The answers must be the same to the last bit.
 
 What a batch gains: a second core, and Python, which does at a sample for all eyes at once what it does for one. The smaller
 the eye, the larger Python's share: hence the three sizes.
@@ -31,7 +32,7 @@ def scenes_of(keys, duration_ms: float, eyes: int = EYES) -> list:
                               f"cornea.thickness_mm={0.5 + 0.12 * share}"]) for share in np.linspace(0.0, 1.0, eyes)]
 
 
-def measure(stage, eyes: int = EYES, turns: int = 3, sizes=SIZES):
+def measure(stage, eyes: int = EYES, turns: int = 5, sizes=SIZES):
     """Throughput ratios for each size of eye, set-up apart, and the largest difference between the answers."""
     rows = []
     for name, keys, duration_ms in sizes:
@@ -42,14 +43,16 @@ def measure(stage, eyes: int = EYES, turns: int = 3, sizes=SIZES):
         warm = scenes_of(keys, 0.05, eyes)
         _one_by_one(warm[:1], clouds)
         _at_once(warm, clouds)
-        alone, together = [], []
+        alone, together, set_ups = [], [], []
         for turn in range(turns):
             stage(f"{eyes} {name}, turn {turn + 1} of {turns}")
-            *seconds, traces = _one_by_one(scenes, clouds)
+            set_up_alone, seconds, traces = _one_by_one(scenes, clouds)
             alone.append(seconds)
-            *seconds, outcomes = _at_once(scenes, clouds)
+            set_up, seconds, outcomes = _at_once(scenes, clouds)
             together.append(seconds)
-        (set_up_alone, run_alone), (set_up, run) = np.min(alone, axis=0), np.min(together, axis=0)
+            set_ups.append((set_up_alone, set_up))
+        run_alone, run = (np.min(taken, axis=0).sum() for taken in (alone, together))
+        set_up_alone, set_up = np.min(set_ups, axis=0)
         note = f"{eyes} eyes of {clouds[0].count} nodes, {duration_ms:g} ms, {backend.threads()} threads, best of {turns}"
         rows.append(at_least(f"{name}: a batch over one after another", run_alone / run, "times", ASKED, note))
         rows.append(figure(f"{name}: simulated in a batch", eyes * duration_ms / run, "ms/s",
@@ -63,23 +66,24 @@ def measure(stage, eyes: int = EYES, turns: int = 3, sizes=SIZES):
 
 
 def _one_by_one(scenes, clouds):
-    """Seconds of all set-ups and of all runs, and the traces."""
-    set_up = run = 0.0
-    traces = []
+    """Seconds of all set-ups, of each eye's run, and the traces."""
+    set_up, runs, traces = 0.0, [], []
     for scene, cloud in zip(scenes, clouds):
         started = time.perf_counter()
         simulation = Simulation(scene, cloud)
         ready = time.perf_counter()
         traces.append(simulation.run())
-        set_up, run = set_up + ready - started, run + time.perf_counter() - ready
+        set_up += ready - started
+        runs.append(time.perf_counter() - ready)
         del simulation  # its fields are the next one's
-    return set_up, run, traces
+    return set_up, runs, traces
 
 
 def _at_once(scenes, clouds):
-    """Seconds of the set-up and of the run, and what became of each."""
+    """Seconds of the set-up, of each sample, and what became of each eye."""
     started = time.perf_counter()
     batch = Batch(scenes, clouds)
-    ready = time.perf_counter()
-    outcomes = batch.run()
-    return ready - started, time.perf_counter() - ready, outcomes
+    ticks = [time.perf_counter()]
+    outcomes = batch.run(lambda _: ticks.append(time.perf_counter()))
+    ticks.append(time.perf_counter())
+    return ticks[0] - started, np.diff(ticks), outcomes
