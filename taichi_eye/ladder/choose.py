@@ -209,7 +209,8 @@ class _Climb:
         self.choice.estimates["mfpm"] = {"space": error, "sound speed": by_sound}
         self._take("mfpm", spacing, f"{self._why_not_cavity()}; space {error:.2g} % and c = {c:g} m/s "
                    f"{by_sound:.2g} %" + ("" if error + by_sound <= tolerance else f" are more than {tolerance:g} %, but "
-                                          "no setting offered does better"), sound_speed_m_s=c)
+                                          "no setting offered does better"), sound_speed_m_s=c,
+                   mean_sound_speed_m_s=c)
 
     def _roomiest(self) -> float:
         """The coarsest spacing [mm] that the chamber's depth on the axis holds four of."""

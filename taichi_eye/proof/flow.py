@@ -107,9 +107,12 @@ class Flow:
         self.aqueous.potential[self.own[None] + g] = self.aqueous.potential[self.source[g]]
 
     @ti.func
-    def _copy_gradient(self, g):
-        self.aqueous.pressure_gradient[self.own[None] + g] = self.sign[g] * self.aqueous.pressure_gradient[self.source[g]]
-        self.aqueous.smooth_gradient[self.own[None] + g] = self.sign[g] * self.aqueous.smooth_gradient[self.source[g]]
+    def _copy_kicked(self, g):
+        copy = self.own[None] + g
+        self.aqueous.driving[copy] = self.aqueous.driving[self.source[g]]
+        self.aqueous.candidate[copy] = self.sign[g] * self.aqueous.candidate[self.source[g]]
+        self.aqueous.pressure_gradient[copy] = self.sign[g] * self.aqueous.pressure_gradient[self.source[g]]
+        self.aqueous.smooth_gradient[copy] = self.sign[g] * self.aqueous.smooth_gradient[self.source[g]]
 
     @ti.func
     def _copy_velocity_gradient(self, g):
@@ -121,26 +124,19 @@ class Flow:
     @ti.func
     def _step(self, dt, force):
         for i in range(self.own[None]):
-            self.aqueous.find_pressure_gradient(i)
-        for g in range(self.copied[None]):
-            self._copy_gradient(g)
-        for i in range(self.own[None]):
             self.aqueous.kick(0, i, dt, self.still)
         for i in range(self.own[None]):
-            self.aqueous.velocity[i] = self.aqueous.candidate[i]
             if self.aqueous.kind[i] == WALL:
-                self.aqueous.velocity[i] = self.prescribed[i]
+                self.aqueous.candidate[i] = self.prescribed[i]
             if force != 0.0 and (self.aqueous.kind[i] == FREE or self.aqueous.slide[i][1] == 1.0):
-                self.aqueous.velocity[i][1] += dt * force / self.aqueous.density(0, i)
+                self.aqueous.candidate[i][1] += dt * force / self.aqueous.density(0, i)
         for g in range(self.copied[None]):
-            self._copy_velocity(g)
-        for i in range(self.own[None]):
-            self.aqueous.find_velocity_gradient(i)
-        for g in range(self.copied[None]):
-            self._copy_velocity_gradient(g)
+            self._copy_kicked(g)
         for i in range(self.own[None]):
             self.aqueous.compress(0, i, dt, self.still)
         for g in range(self.copied[None]):
+            self._copy_velocity(g)
+            self._copy_velocity_gradient(g)
             self._copy_pressure(g)
         self._settle()
 

@@ -79,7 +79,7 @@ class CoupledSystem:
                 self.aqueous.find_velocity_gradient(i)
                 self.aqueous.potential[i] = (self.aqueous.pressure[i]
                                              - self.aqueous.viscosity[0] / 3.0 * self.aqueous.divergence[i])
-            self.coupling._settle_pressure(0)
+            self.aqueous.last_volume[0] = self.coupling.chamber_volume(0)
 
     @ti.kernel
     def _store(self, state: ti.types.ndarray()):

@@ -33,8 +33,6 @@ class _Gap:
         for i in range(self.count):
             self.aqueous.find_velocity_gradient(i)
         for i in range(self.count):
-            self.aqueous.find_pressure_gradient(i)
-        for i in range(self.count):
             self.aqueous.kick(0, i, dt, self.top_velocity)
         for i in range(self.count):
             self.rate[i] = self.aqueous.divergence[i]

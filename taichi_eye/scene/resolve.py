@@ -31,6 +31,7 @@ def resolve(draft: Draft) -> None:
     _tissue(draft)
     _chamber(draft)
     _numerics(draft)
+    _sound_speeds(draft)
     _puff(draft)
     _camera(draft)
     for name, _, spec in all_keys():
@@ -107,6 +108,16 @@ def _chamber(draft: Draft) -> None:
     elif SPACINGS_DEEP * spacing > room:
         draft.refuse(f"the chamber, {room:.4g} mm deep on the axis, must hold at least {SPACINGS_DEEP} spacings, "
                      f"so at most {room / SPACINGS_DEEP:.4g} mm", "numerics.spacing_mm")
+
+
+def _sound_speeds(draft: Draft) -> None:
+    """The mean pressure is as stiff as the waves, or stiffer."""
+    mean, waves = "numerics.mean_sound_speed_m_s", "numerics.sound_speed_m_s"
+    if draft[mean] == AUTO:
+        draft.values[mean] = draft[waves]
+    elif draft[mean] < draft[waves]:
+        draft.refuse(f'the mean pressure is at least as stiff as the waves: at least {draft[waves]:g} m/s, or "auto" '
+                     f"(--set {mean}=auto)", mean, waves)
 
 
 def _lens(draft: Draft, centre: float, back: float) -> float | None:

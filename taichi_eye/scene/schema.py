@@ -137,6 +137,9 @@ class Numerics:
     basis: str = key("quadratic", "Taylor basis of the mesh-free operators", choices=("quadratic", "cubic"))
     sound_speed_m_s: float = key(80.0, "numerical speed of sound; its compliance deepens the dent as c^-2", unit="m/s",
                                     at_least=1, at_most=2000)
+    mean_sound_speed_m_s: float = key(AUTO, "of the mean pressure of a sealed chamber, at least sound_speed_m_s: takes the "
+                                      "compliance out of the dent at no cost; auto: sound_speed_m_s", unit="m/s",
+                                      at_least=1, at_most=2000)
     cfl: float = key(0.8, "factor on the stable time step", above=0, at_most=1)
     dissipation: float = key(0.5, "fourth-difference dissipation of p and u, in units of c h; unstable below 0.3",
                               at_least=0, at_most=1)

@@ -2,11 +2,12 @@
 
 Equations on a node that moves with velocity w (arbitrary Lagrangian-Eulerian), p the excess over the IOP:
 
-    dp/dt  = -(rho0 c^2 + p) div u - (u - w) . grad p + alpha c h P p + (mass fix)
+    dp/dt  = -(rho0 c^2 + p) div u - (u - w) . grad p + alpha c h P p + (mass fix, mean stiffness)
     du/dt  = -grad (p - mu/3 div u) / rho + (mu / rho) lap u - (u - w) . grad u + alpha c h P u
     rho    = rho0 + p / c^2.
 
-c is a numerical sound speed; the sealed chamber makes it a compliance, so its error in the apex peak goes as c^-2.
+c is a numerical sound speed; the sealed chamber makes it a compliance, so its error in the apex peak goes as c^-2 (unless the
+mean pressure has a sound speed of its own, below).
 
 Node motion. A node keeps its share of the height between the rigid back (0) and the cornea point above it (1) and takes
 that share of the cornea's displacement there. The map is smooth, the limbus wedge and the back stay put, and the nodes
@@ -24,8 +25,16 @@ left at alpha 0.5 is the first coupled mode itself, growing by 0.6/s. Its price 
 coupled modes (309, 550, 804 Hz): none, 19/s, 133/s at h 0.25 mm and none, 4/s, 40/s at 0.18 mm.
 
 Mass fix. Collocation does not conserve mass to rounding, and in a sealed chamber a volume error is a pressure error. The
-mean density has a known value at every instant, rho0 V0 / V with V the volume under the membrane, so each step adds the
-uniform pressure that was missing at its start. It converges to nothing with h and leaves all other modes alone.
+mean pressure has a known value at every instant, rho0 c_m^2 (V0/V - 1) with V the volume under the membrane. The membrane's
+place at the end of a step is known at its start, so each step adds the uniform pressure that continuity is not going to
+bring. It converges to nothing with h and leaves all other modes alone.
+
+Two sound speeds. The mean pressure need not be as soft as the waves: c_m (`mean_sound_speed_m_s`) is its own number, and c's
+compliance of the sealed chamber goes with it. No wave travels at c_m; the explicit part of its stiffness rings with the
+wall's mass, which limits the step only beyond some 8 c (`taichi_eye.solver.timestep`). Apex peak of the default eye, h 0.2 mm,
+against the converged 0.959 mm: c 40 +0.93 %, c 20 +3.1 %; with c_m 160: c 40 +0.24 %, c 20 +0.26 %. What is left of c is the
+inertia of its waves: the first radial one of the chamber is 2 kHz at c 20, the puff below 0.2 kHz. Adding the change of the
+last step instead of the coming one blows up at a quarter of that c_m.
 
 Open chamber. To ask what the sealed volume does, fluid may leave: a sink of uniform rate q [1/s] takes it with the
 velocity and the pressure it has, so momentum keeps its equation and continuity becomes
@@ -38,7 +47,7 @@ import taichi as ti
 
 from taichi_eye.backend import real
 from taichi_eye.cloud.packing import FIXED, FREE, SLIDE, WALL, Cloud
-from taichi_eye.mfpm.neighbours import NeighbourLists, image_of
+from taichi_eye.mfpm.neighbours import NeighbourLists
 from taichi_eye.mfpm.operators import CONDITION_LIMIT, SEARCH_RADIUS, STENCIL, WIDTH, MfpmOperators
 
 CORNERS = 12  # triangles that may meet in a node
@@ -71,7 +80,7 @@ class Aqueous:
         self.pressure_gradient, self.laplacian, self.smooth_gradient = vector(), vector(), vector()
         self.velocity_gradient = ti.Matrix.field(2, 2, fp, capacity)
         self.smooth_velocity_gradient = ti.Matrix.field(2, 2, fp, capacity)
-        self.pressure_dissipation, self.viscous_loss, self.numerical_loss = (scalar() for _ in range(3))
+        self.driving, self.viscous_loss, self.numerical_loss, self.roughness_work = (scalar() for _ in range(4))
         self.outflow_loss = scalar()
         self.kind, self.wall_index = ti.field(ti.i32, capacity), ti.field(ti.i32, capacity)
         self.wall_fraction, self.height_fraction = scalar(), scalar()
@@ -80,17 +89,18 @@ class Aqueous:
         self.rest_area = ti.field(fp, 2 * capacity)
         self.corner = ti.field(ti.i32, (capacity, CORNERS))
         self.corner_count = ti.field(ti.i32, capacity)
-        self.density0, self.viscosity, self.sound_speed = (ti.field(fp, eyes) for _ in range(3))
+        self.density0, self.viscosity, self.sound_speed, self.mean_speed = (ti.field(fp, eyes) for _ in range(4))
         self.dissipation_length = ti.field(fp, eyes)  # alpha c h [m^2/s]
         self.rest_volume, self.last_volume, self.compliance = (ti.field(fp, eyes) for _ in range(3))
         self.pressure_shift = ti.field(fp, eyes)
 
     def setup(self, cloud: Cloud, density: float, viscosity: float, sound_speed: float, dissipation: float,
-              no_slip: bool = False, sealed: bool = True, compliance: float = 0.0, stencil: int | None = None,
-              eye: int = 0, first: int = 0) -> None:
+              no_slip: bool = False, sealed: bool = True, compliance: float = 0.0, mean_speed: float | None = None,
+              stencil: int | None = None, eye: int = 0, first: int = 0) -> None:
         """Place the nodes of one eye at rest, choose their stencils and compute all weights (SI units).
 
-        compliance: volume [m^3/Pa] by which the rest of the globe yields; stencil: neighbours wanted per node; the basis
+        compliance: volume [m^3/Pa] by which the rest of the globe yields; mean_speed: the mean pressure's sound speed (default:
+        the waves'); stencil: neighbours wanted per node; the basis
         has its own number. Several eyes are set up in their order, each from the node after the last one's on.
         """
         self.nodes[eye] = count = cloud.count
@@ -103,7 +113,8 @@ class Aqueous:
         self._load(cloud.points, cloud.kind, cloud.direction, cloud.wall_index, cloud.wall_fraction,
                    cloud.height_fraction, corner, corners, first)
         self._load_chamber(cloud.triangles, cloud.wall_count, cloud.section.volume(), density, viscosity, sound_speed,
-                           dissipation * sound_speed * cloud.spacing, no_slip, sealed, compliance, eye, first)
+                           dissipation * sound_speed * cloud.spacing, no_slip, sealed, compliance,
+                           mean_speed or sound_speed, eye, first)
         self.neighbours.search(self.place, count, SEARCH_RADIUS[self.basis] * cloud.spacing, eye, first)
         self.operators.choose_stencils(self.place, stencil or STENCIL[self.basis], CONDITION_LIMIT[self.basis], eye)
         if self.smoother is not self.operators:
@@ -131,18 +142,19 @@ class Aqueous:
             self.pressure_gradient[i], self.smooth_gradient[i] = zero, zero
             self.velocity_gradient[i] = ti.Matrix([[0.0, 0.0], [0.0, 0.0]])
             self.smooth_velocity_gradient[i] = ti.Matrix([[0.0, 0.0], [0.0, 0.0]])
-            self.pressure_dissipation[i], self.viscous_loss[i], self.numerical_loss[i] = 0.0, 0.0, 0.0
+            self.driving[i], self.viscous_loss[i], self.numerical_loss[i], self.roughness_work[i] = 0.0, 0.0, 0.0, 0.0
             self.outflow_loss[i] = 0.0
 
     @ti.kernel
     def _load_chamber(self, triangles: ti.types.ndarray(), wall_count: int, volume: float, density: float,
                       viscosity: float, sound_speed: float, dissipation_length: float, no_slip: int, sealed: int,
-                      compliance: float, eye: int, first: int):
+                      compliance: float, mean_speed: float, eye: int, first: int):
         self.wall_count[eye], self.triangle_count[eye] = wall_count, triangles.shape[0]
         self.rest_volume[eye], self.last_volume[eye], self.pressure_shift[eye] = volume, volume, 0.0
         self.density0[eye], self.viscosity[eye], self.sound_speed[eye] = density, viscosity, sound_speed
         self.dissipation_length[eye], self.no_slip[eye] = dissipation_length, no_slip
         self.sealed[eye], self.outflow[eye], self.compliance[eye] = sealed, 0.0, compliance
+        self.mean_speed[eye] = mean_speed
         for t in range(triangles.shape[0]):
             for k in ti.static(range(3)):
                 self.triangle[2 * first + t, k] = first + triangles[t, k]
@@ -205,15 +217,8 @@ class Aqueous:
         return self.density0[eye] + self.pressure[i] / self.sound_speed[eye] ** 2
 
     @ti.func
-    def find_pressure_gradient(self, i):
-        """Gradient of p - mu/3 div u at node i."""
-        self.pressure_gradient[i] = self.operators.gradient_at(i, self.potential)
-        if ti.static(self.basis != "quadratic"):
-            self.smooth_gradient[i] = self.smoother.gradient_at(i, self.potential)
-
-    @ti.func
     def find_velocity_gradient(self, i):
-        """Velocity gradient, Laplacian and divergence at node i."""
+        """Velocity gradient, Laplacian and divergence at node i: what the first step starts from."""
         self.velocity_gradient[i] = self.operators.velocity_gradient_at(i, self.velocity)
         self.laplacian[i] = self.operators.velocity_laplacian_at(i, self.place, self.velocity)
         self.divergence[i] = self.operators.divergence_from(i, self.place, self.velocity, self.velocity_gradient[i])
@@ -221,61 +226,60 @@ class Aqueous:
             self.smooth_velocity_gradient[i] = self.smoother.velocity_gradient_at(i, self.velocity)
 
     @ti.func
-    def smooth_slopes(self, i):
-        """Gradients (p, u) at node i that the dissipation uses: the smoother's own."""
-        slope, slopes = self.pressure_gradient[i], self.velocity_gradient[i]
-        if ti.static(self.basis != "quadratic"):
-            slope, slopes = self.smooth_gradient[i], self.smooth_velocity_gradient[i]
-        return slope, slopes
+    def differentiate_pressure(self, i):
+        """Gradient of p - mu/3 div u, kept, and P u [1/(m s)] at node i (see `taichi_eye.mfpm.operators`)."""
+        rough = ti.Vector([0.0, 0.0])
+        if ti.static(self.basis == "quadratic"):
+            self.pressure_gradient[i], rough = self.operators.gradient_and_roughness(
+                i, self.potential, self.velocity, self.velocity_gradient)
+        else:
+            self.pressure_gradient[i] = self.operators.gradient_at(i, self.potential)
+            self.smooth_gradient[i], rough = self.smoother.gradient_and_roughness(
+                i, self.potential, self.velocity, self.smooth_velocity_gradient)
+        return rough
 
     @ti.func
-    def dissipation_at(self, i):
-        """P p [Pa/m^2] and P u [1/(m s)] at node i (see `taichi_eye.mfpm.operators`)."""
-        p, u = self.potential[i], self.velocity[i]
-        slope, slopes = self.smooth_slopes(i)
-        rough_p = 0.0
-        rough_u = ti.Vector([0.0, 0.0])
-        for k in range(self.smoother.size[i]):
-            j, sign = image_of(self.neighbours.entry[i, k])
-            weight, arm = self.smoother.pair_weight[i, k], self.smoother.pair_arm[i, k]
-            there = self.velocity[j]
-            other, others = self.smooth_slopes(j)
-            # at an image d/dr of an even field and d/dz of an odd one change sign
-            rough_p += 2.0 * weight * (self.potential[j] - p) - ((slope[0] + sign * other[0]) * arm[0]
-                                                                 + (slope[1] + other[1]) * arm[1])
-            rough_u[0] += 2.0 * weight * (sign * there[0] - u[0]) - ((slopes[0, 0] + others[0, 0]) * arm[0]
-                                                                     + (slopes[0, 1] + sign * others[0, 1]) * arm[1])
-            rough_u[1] += 2.0 * weight * (there[1] - u[1]) - ((slopes[1, 0] + sign * others[1, 0]) * arm[0]
-                                                              + (slopes[1, 1] + others[1, 1]) * arm[1])
-        return rough_p, rough_u
+    def differentiate_velocity(self, i, apart: ti.template()):
+        """Gradient and Laplacian of the candidate velocity, kept, and P p [Pa/m^2] of the pressure that drove it.
+
+        apart: as in `MfpmOperators.derivatives_and_roughness`.
+        """
+        rough = 0.0
+        if ti.static(self.basis == "quadratic"):
+            self.velocity_gradient[i], self.laplacian[i], rough = self.operators.derivatives_and_roughness(
+                i, self.place, self.candidate, self.driving, self.pressure_gradient, apart)
+        else:
+            self.velocity_gradient[i] = self.operators.velocity_gradient_at(i, self.candidate)
+            self.laplacian[i] = self.operators.velocity_laplacian_at(i, self.place, self.candidate)
+            self.smooth_velocity_gradient[i], unused, rough = self.smoother.derivatives_and_roughness(
+                i, self.place, self.candidate, self.driving, self.smooth_gradient, apart)
+        return rough
 
     @ti.func
     def kick(self, eye, i, dt, wall_velocity: ti.template()):
-        """Momentum: the candidate velocity of node i half a step later, and its pressure dissipation."""
-        rough_p, rough_u = self.dissipation_at(i)
-        rough_u *= self.dissipation_length[eye]
+        """Momentum: the candidate velocity of node i half a step later."""
+        rough = self.dissipation_length[eye] * self.differentiate_pressure(i)
+        self.driving[i] = self.potential[i]
         rho = self.density(eye, i)
         slip = self.velocity[i] - self.wall_share(i, wall_velocity)
         gradient = self.velocity_gradient[i]
         carried = ti.Vector([gradient[0, 0] * slip[0] + gradient[0, 1] * slip[1],
                              gradient[1, 0] * slip[0] + gradient[1, 1] * slip[1]])
-        push = (self.viscosity[eye] * self.laplacian[i] - self.pressure_gradient[i]) / rho - carried + rough_u
-        self.pressure_dissipation[i] = self.dissipation_length[eye] * rough_p
+        push = (self.viscosity[eye] * self.laplacian[i] - self.pressure_gradient[i]) / rho - carried + rough
         candidate = self.velocity[i] + dt * push
-        if self.kind[i] == SLIDE:
-            candidate = self.slide[i] * self.slide[i].dot(candidate)
-            if self.no_slip[eye] == 1 and self.place[i][0] > 0.0:
+        felt = rough
+        if self.kind[i] != FREE:
+            if self.kind[i] == SLIDE:
+                candidate = self.slide[i] * self.slide[i].dot(candidate)
+                if self.no_slip[eye] == 1 and self.place[i][0] > 0.0:
+                    candidate = ti.Vector([0.0, 0.0])
+            elif self.kind[i] == FIXED:
                 candidate = ti.Vector([0.0, 0.0])
-        elif self.kind[i] == FIXED:
-            candidate = ti.Vector([0.0, 0.0])
+            if self.no_slip[eye] == 1:
+                # the wall sets this velocity, not the candidate
+                felt = ti.Vector([0.0, 0.0])
         self.candidate[i] = candidate
-        middle = 0.5 * (candidate + self.velocity[i])
-        if self.no_slip[eye] == 1 and self.kind[i] != FREE:
-            # the wall sets this velocity, not the candidate
-            middle = ti.Vector([0.0, 0.0])
-        self.numerical_loss[i] -= dt * self.volume[i] * (
-            rho * middle.dot(rough_u)
-            + self.pressure[i] * self.pressure_dissipation[i] / (self.density0[eye] * self.sound_speed[eye] ** 2))
+        self.roughness_work[i] = -0.5 * dt * rho * (candidate + self.velocity[i]).dot(felt)
 
     @ti.func
     def meet_wall(self, eye, i, wall_place: ti.template(), wall_velocity):
@@ -288,22 +292,30 @@ class Aqueous:
         return velocity
 
     @ti.func
-    def pressure_rate(self, eye, i, divergence, wall_velocity: ti.template()):
-        """dp/dt [Pa/s] of node i with the divergence given."""
-        slip = self.velocity[i] - self.wall_share(i, wall_velocity)
-        return (self.pressure_dissipation[i] - slip.dot(self.pressure_gradient[i])
+    def pressure_rate(self, eye, i, divergence, rough, wall_velocity: ti.template()):
+        """dp/dt [Pa/s] of node i with its candidate velocity's divergence and its P p given."""
+        slip = self.candidate[i] - self.wall_share(i, wall_velocity)
+        return (self.dissipation_length[eye] * rough - slip.dot(self.pressure_gradient[i])
                 - (self.density0[eye] * self.sound_speed[eye] ** 2 + self.pressure[i])
                 * (divergence + self.outflow[eye]))
 
     @ti.func
     def compress(self, eye, i, dt, wall_velocity: ti.template()):
-        """Continuity: the pressure of node i at the end of the step, and what viscosity and outflow have taken."""
-        self.pressure[i] += dt * self.pressure_rate(eye, i, self.divergence[i], wall_velocity) + self.pressure_shift[eye]
-        self.potential[i] = self.pressure[i] - self.viscosity[eye] / 3.0 * self.divergence[i]
-        g, divergence = self.velocity_gradient[i], self.divergence[i]
+        """Continuity: node i takes its candidate velocity and the pressure that goes with it at the end of the step.
+
+        Also what the dissipation of pressure, viscosity and outflow have taken.
+        """
+        rough = self.differentiate_velocity(i, True)
+        self.velocity[i] = self.candidate[i]
+        g, before = self.velocity_gradient[i], self.pressure[i]
+        divergence = self.operators.divergence_from(i, self.place, self.candidate, g)
+        self.pressure[i] += dt * self.pressure_rate(eye, i, divergence, rough, wall_velocity) + self.pressure_shift[eye]
+        self.potential[i] = self.pressure[i] - self.viscosity[eye] / 3.0 * divergence
         hoop = divergence - g[0, 0] - g[1, 1]
         squares = g[0, 0] ** 2 + g[1, 1] ** 2 + hoop ** 2 + 0.5 * (g[0, 1] + g[1, 0]) ** 2 - divergence ** 2 / 3.0
         self.viscous_loss[i] += dt * self.volume[i] * 2.0 * self.viscosity[eye] * squares
+        self.numerical_loss[i] += self.volume[i] * (self.roughness_work[i] - dt * before * self.dissipation_length[eye] * rough
+                                                   / (self.density0[eye] * self.sound_speed[eye] ** 2))
         if self.sealed[eye] == 0:
             rho = self.density(eye, i)
             self.outflow_loss[i] += dt * self.outflow[eye] * self.volume[i] * (
@@ -311,25 +323,25 @@ class Aqueous:
 
     @ti.func
     def missing_pressure(self, eye, volume):
-        """The uniform pressure [Pa] that restores the mean density of the chamber at its volume [m^3].
+        """The uniform pressure [Pa] to add in the step that ends with the chamber at its volume [m^3].
 
-        In an open chamber: that brings the mean excess pressure back to zero.
-        Where the rest of the globe yields, by compliance [m^3/Pa] times the mean pressure, that much aqueous humour
-        has left, from everywhere alike: the eye behind the iris is not resolved. The next step's continuity knows nothing
-        of that; what it is going to bring too much, by the last change of volume, is taken off beforehand.
+        Continuity is going to bring the liquid's own stiffness times the change of volume; what that and the present mean
+        lack of the mean pressure that the volume stands for is added. In an open chamber that mean is zero. Where the rest of
+        the globe yields, by compliance [m^3/Pa] times the mean pressure, that much aqueous humour has left, from everywhere
+        alike: the eye behind the iris is not resolved.
         """
         total, weight = 0.0, 0.0
         for i in range(self.first[eye], self.first[eye] + self.count[eye]):
             total += self.volume[i] * self.pressure[i]
             weight += self.volume[i]
-        stiffness = self.density0[eye] * self.sound_speed[eye] ** 2
-        yielding = 1.0 + stiffness * self.compliance[eye] / volume
-        coming = stiffness * (self.last_volume[eye] / volume - 1.0) * (1.0 - 1.0 / yielding)
+        mean, coming = 0.0, 0.0
+        if self.sealed[eye] == 1:
+            stiffness = self.density0[eye] * self.mean_speed[eye] ** 2
+            mean = (stiffness * (self.rest_volume[eye] / volume - 1.0)
+                    / (1.0 + stiffness * self.compliance[eye] / volume))
+            coming = self.density0[eye] * self.sound_speed[eye] ** 2 * (self.last_volume[eye] / volume - 1.0)
         self.last_volume[eye] = volume
-        mean = stiffness * (self.rest_volume[eye] / volume - 1.0) / yielding - coming
-        if self.sealed[eye] == 0:
-            mean = 0.0
-        return mean - total / weight
+        return mean - coming - total / weight
 
     @ti.func
     def stored_at(self, eye, i):

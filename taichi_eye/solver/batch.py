@@ -122,7 +122,8 @@ class Batch:
                           cornea.flexural_modulus_mpa * 1e6, eye, first)
         self.aqueous.setup(cloud, scene.aqueous.density_kg_m3, scene.aqueous.viscosity_mpa_s * MPA_S,
                            numerics.sound_speed_m_s, numerics.dissipation, numerics.wall_condition == "no_slip",
-                           scene.chamber.sealed, scene.chamber.compliance_mm3_mmhg * MM3 / MMHG, eye=eye, first=first)
+                           scene.chamber.sealed, scene.chamber.compliance_mm3_mmhg * MM3 / MMHG,
+                           numerics.mean_sound_speed_m_s, eye=eye, first=first)
         self.coupling.setup(numerics.coupling == "iterated", numerics.relaxation == "aitken",
                             numerics.relaxation_factor, numerics.coupling_tolerance, numerics.coupling_iterations_max, eye)
         self.survey.remember_rest(cloud.section.back_height(nodes[:, 0]), eye)

@@ -4,7 +4,7 @@ Partitioned, Dirichlet-Neumann: the cornea hands its motion to the aqueous humou
 pressure back. From t_n to t_n+1, with a the membrane's acceleration:
 
  1. cornea, explicit Newmark (beta 0, gamma 1/2):  x_n+1 = x_n + dt v_n + dt^2/2 a_n;
-    forces of tissue, IOP and puff at x_n+1, t_n+1.
+    forces of tissue, IOP and puff at x_n+1, t_n+1. The volume under x_n+1 gives the mean pressure of t_n+1.
  2. aqueous: momentum with the pressure of t_n gives the velocity of t_n+1/2 everywhere but at the cornea.
  3. coupling iteration on a_n+1:  v_n+1 = v_n + dt/2 (a_n + a_n+1);  the wall moves with (v_n + v_n+1)/2;  continuity
     with that wall velocity gives the wall pressures of t_n+1;  these and step 1 give a new a_n+1. Only the wall nodes'
@@ -20,7 +20,8 @@ fixed CFL number by CFL c dt rho / (4 rho_s h_wall), which goes to 0 with dt as 
 compressible fluid: 0.01 at h = 0.1 mm. Loose coupling is unstable where it exceeds about 1.
 
 Pressure and velocity are staggered by half a step, so the pair is a leapfrog: second order in dt and without damping of
-its own; the dissipation is lagged.
+its own; the dissipation is lagged. Steps 2 and 4 are one pass over the nodes each: the pressure's gradients go with the
+velocity's dissipation, which has its gradients from the step before, the velocity's with the pressure's.
 """
 import numpy as np
 import taichi as ti
@@ -154,12 +155,13 @@ class Coupling:
                     swept += self.cornea.volume_gradient(eye, i).dot(self.wall_velocity[i])
                 self.aqueous.outflow[eye] = -swept / volume
             for i in range(first, end):
-                self.aqueous.velocity[i] = self.aqueous.meet_wall(eye, i, self.cornea.place, self.wall_velocity[i])
+                self.aqueous.candidate[i] = self.aqueous.meet_wall(eye, i, self.cornea.place, self.wall_velocity[i])
             for i in range(first, end):
-                slopes = self.aqueous.operators.velocity_gradient_at(i, self.aqueous.velocity)
-                divergence = self.aqueous.operators.divergence_from(i, self.aqueous.place, self.aqueous.velocity, slopes)
+                rough = self.aqueous.differentiate_velocity(i, False)
+                divergence = self.aqueous.operators.divergence_from(i, self.aqueous.place, self.aqueous.candidate,
+                                                                    self.aqueous.velocity_gradient[i])
                 self.wall_pressure[i] = (self.aqueous.pressure[i] + self.aqueous.pressure_shift[eye]
-                                         + dt * self.aqueous.pressure_rate(eye, i, divergence, self.wall_velocity))
+                                         + dt * self.aqueous.pressure_rate(eye, i, divergence, rough, self.wall_velocity))
             residual = 0.0
             square, product = 0.0, 0.0
             for i in range(first, end):
@@ -223,20 +225,14 @@ class Coupling:
                 if step > 0:
                     kick_dt = dt
                 self._move_cornea(eye, puff[k, step], dt)
-                for i in range(first, end):
-                    self.aqueous.find_pressure_gradient(i)
+                self._settle_pressure(eye)
                 for i in range(first, end):
                     self.aqueous.kick(eye, i, kick_dt, self.cornea.velocity)
-                for i in range(walls_end, end):
-                    self.aqueous.velocity[i] = self.aqueous.candidate[i]
                 self._match_wall(eye, dt)
-                for i in range(first, end):
-                    self.aqueous.find_velocity_gradient(i)
                 for i in range(first, end):
                     self.aqueous.compress(eye, i, dt, self.wall_velocity)
                 for i in range(first, walls_end):
                     self._end_cornea_step(eye, i, dt)
-                self._settle_pressure(eye)
 
     @ti.kernel
     def _march(self, pace: ti.types.ndarray(), puff: ti.types.ndarray()):
@@ -252,23 +248,14 @@ class Coupling:
             if pace[eye, 1] > 0.0 and self.status[eye] == RUNNING:
                 self.going[eye], self.dt[eye], self.kick_dt[eye] = 1, float(pace[eye, 1]), float(pace[eye, 2])
                 self._move_cornea(eye, float(pace[eye, 0]), self.dt[eye])
-        for i in range(self.aqueous.neighbours.total[None]):
-            if self.going[self.aqueous.neighbours.eye_of[i]] == 1:
-                self.aqueous.find_pressure_gradient(i)
+                self._settle_pressure(eye)
         for i in range(self.aqueous.neighbours.total[None]):
             eye = self.aqueous.neighbours.eye_of[i]
             if self.going[eye] == 1:
                 self.aqueous.kick(eye, i, self.kick_dt[eye], self.cornea.velocity)
-        for i in range(self.aqueous.neighbours.total[None]):
-            eye = self.aqueous.neighbours.eye_of[i]
-            if self.going[eye] == 1 and i >= self.aqueous.first[eye] + self.aqueous.wall_count[eye]:
-                self.aqueous.velocity[i] = self.aqueous.candidate[i]
         for eye in range(pace.shape[0]):
             if self.going[eye] == 1:
                 self._match_wall(eye, self.dt[eye])
-        for i in range(self.aqueous.neighbours.total[None]):
-            if self.going[self.aqueous.neighbours.eye_of[i]] == 1:
-                self.aqueous.find_velocity_gradient(i)
         for i in range(self.aqueous.neighbours.total[None]):
             eye = self.aqueous.neighbours.eye_of[i]
             if self.going[eye] == 1:
@@ -277,4 +264,3 @@ class Coupling:
             if self.going[eye] == 1:
                 for i in range(self.aqueous.first[eye], self.aqueous.first[eye] + self.aqueous.wall_count[eye]):
                     self._end_cornea_step(eye, i, self.dt[eye])
-                self._settle_pressure(eye)

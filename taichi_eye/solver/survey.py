@@ -134,13 +134,16 @@ class Survey:
         # of the liquid's mean excess pressure: the volume that the rest of the globe has taken up
         mean = pressure_volume / total_volume
         yielded = self.aqueous.compliance[eye] * mean
+        # the liquid's mean is stiffer than its waves: what the nodes' own elastic energy has too much of it
+        spared = rest_volume / self.aqueous.density0[eye] * (1.0 / self.aqueous.sound_speed[eye] ** 2
+                                                             - 1.0 / self.aqueous.mean_speed[eye] ** 2)
         figures = ((
             self.cornea.place[first][1], self.cornea.velocity[first][1],
             self.cornea.iop[eye] + self.aqueous.pressure[first], (volume + yielded) / rest_volume - 1.0,
             self.cornea.puff_work[eye],
             self.cornea.elastic_energy(eye) - self.rest_energy[eye], self.cornea.kinetic_energy(eye), kinetic,
-            elastic + self.cornea.iop[eye] * (rest_volume - volume) + 0.5 * yielded * mean, viscous, numerical,
-            carried, least, slackest - first, in_plane, transverse, step, ti.sqrt(gap), flattest, flat - first, heaviest,
+            elastic + self.cornea.iop[eye] * (rest_volume - volume) + 0.5 * (yielded - spared * mean) * mean,
+            viscous, numerical, carried, least, slackest - first, in_plane, transverse, step, ti.sqrt(gap), flattest, flat - first, heaviest,
             worst, ill - first, room, near - first, ti.select(bad >= 0, 1.0, 0.0), ti.max(bad - first, -1), travel,
             self.coupling.sweeps[eye], self.coupling.worst_residual[eye], self.coupling.status[eye]))
         for q in ti.static(range(len(QUANTITIES))):

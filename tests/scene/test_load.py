@@ -230,6 +230,8 @@ def test_all_problems_stand_in_one_message(write):
     (["numerics.spacing_mm=0.7"], ["numerics.spacing_mm = 0.7", "at most 0.6462 mm"]),
     (["chamber.lens_radius_mm=10", "chamber.lens_height_mm=1", "numerics.spacing_mm=0.45"], ["at most 0.3962 mm"]),
     (["numerics.spacing_mm=0.007"], ["numerics.spacing_mm = 0.007", "200000"]),
+    (["numerics.mean_sound_speed_m_s=79"], ["numerics.mean_sound_speed_m_s = 79", "sound_speed_m_s = 80.0 (default)",
+                                            "at least 80 m/s"]),
     (["numerics.duration_ms=10", "camera.frame_count=45"], ["numerics.duration_ms = 10.0", "at most 44 frames"]),
     (["camera.width_px=577"], ["camera.width_px = 577", "even"]),
     (["camera.apex_column_px=576"], ["camera.apex_column_px = 576", "at most 575"]),

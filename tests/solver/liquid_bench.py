@@ -61,8 +61,10 @@ class Liquid:
     @ti.kernel
     def _differentiate(self):
         for i in range(self.aqueous.count[0]):
-            self.aqueous.find_pressure_gradient(i)
             self.aqueous.find_velocity_gradient(i)
+            self.aqueous.candidate[i], self.aqueous.driving[i] = self.aqueous.velocity[i], self.aqueous.potential[i]
+        for i in range(self.aqueous.count[0]):
+            self.vector[i] = self.aqueous.differentiate_pressure(i)
 
     @ti.kernel
     def _kick(self, dt: float):
@@ -89,7 +91,7 @@ class Liquid:
     @ti.kernel
     def _rate(self):
         for i in range(self.aqueous.count[0]):
-            self.scalar[i] = self.aqueous.pressure_rate(0, i, self.aqueous.divergence[i], self.wall_velocity)
+            self.scalar[i] = self.aqueous.pressure_rate(0, i, self.aqueous.divergence[i], 0.0, self.wall_velocity)
 
     def pressure_rate(self):
         self._rate()
@@ -98,7 +100,9 @@ class Liquid:
     @ti.kernel
     def _dissipate(self):
         for i in range(self.aqueous.count[0]):
-            self.scalar[i], self.vector[i] = self.aqueous.dissipation_at(i)
+            self.vector[i] = self.aqueous.differentiate_pressure(i)
+        for i in range(self.aqueous.count[0]):
+            self.scalar[i] = self.aqueous.differentiate_velocity(i, True)
 
     def dissipation(self):
         """P p [n] and P u [n, 2]."""
@@ -111,6 +115,7 @@ class Liquid:
         for once in range(1):
             kinetic, elastic = self.aqueous.energies(0, volume)
             self.number[0], self.number[1] = kinetic, elastic
+            self.aqueous.last_volume[0] = volume  # the chamber stands still
             self.number[2] = self.aqueous.missing_pressure(0, volume)
 
     def kinetic_elastic_missing(self, volume):

@@ -64,6 +64,17 @@ def test_coupling_limit_goes_as_the_root_of_wall_mass_over_added_mass():
     assert ratio("coupling", base, every(smallest_gap=FIGURES["smallest_gap"] / 4)) == pytest.approx(0.5)
 
 
+def test_volume_limit_is_that_of_the_mean_pressures_stiffness_beyond_the_waves():
+    assert every()["volume"] == math.inf
+    stiff = "numerics.sound_speed_m_s=30"
+    base = every(stiff, "numerics.mean_sound_speed_m_s=50")  # 50^2 - 30^2 = 40^2
+    # the wall's mass on the spring of a chamber of 145.6 mm^3 under a cap of 2 pi 7.8 2.585 mm^2
+    mass, area, volume = 1050.0 * 0.55e-3, 2.0 * math.pi * 7.8e-3 * 2.585e-3, 145.6e-9
+    assert base["volume"] == pytest.approx(math.sqrt(mass * volume / (1000.0 * area)) / 40.0, rel=2e-3)
+    assert ratio("volume", base, every(stiff, "numerics.mean_sound_speed_m_s=85.44003745")) == pytest.approx(0.5)
+    assert every(stiff, "numerics.mean_sound_speed_m_s=50", "chamber.sealed=false")["volume"] == math.inf
+
+
 @pytest.mark.parametrize("overrides, figures, name", [
     ((), {}, "acoustic"),
     (("aqueous.viscosity_mpa_s=1000",), {"smallest_gap": 1e-6}, "viscous"),

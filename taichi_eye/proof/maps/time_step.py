@@ -52,8 +52,6 @@ class Radii:
         for once in range(1):
             self.aqueous.dissipation_length[0] = 0.0
         for i in range(nodes):
-            self.aqueous.find_pressure_gradient(i)
-        for i in range(nodes):
             self.aqueous.kick(0, i, 1.0, self.cornea.velocity)
         for i in range(nodes):
             velocity = self.aqueous.candidate[i]
@@ -76,11 +74,9 @@ class Radii:
             self.aqueous.potential[i], self.aqueous.pressure[i] = p[i], 0.0
             self.aqueous.velocity[i] = ti.Vector([0.0, 0.0])
         for i in range(nodes):
-            self.aqueous.find_pressure_gradient(i)
-        for i in range(nodes):
             self.aqueous.kick(0, i, 0.0, self.cornea.velocity)
         for i in range(nodes):
-            after[i] = self.aqueous.pressure_dissipation[i]
+            after[i] = self.aqueous.dissipation_length[0] * self.aqueous.differentiate_velocity(i, True)
 
     def _radius(self, operator) -> float:
         vector = np.random.default_rng(1).standard_normal(self.count)
