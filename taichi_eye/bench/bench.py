@@ -17,13 +17,16 @@ import taichi as ti
 from tqdm import tqdm
 
 from taichi_eye import backend
-from taichi_eye.bench import batch, gpu, packing, peers, startup
+from taichi_eye.bench import batch, default, gpu, growth, packing, peers, startup, step
 from taichi_eye.bench.rows import Row
 from taichi_eye.report.folder import create_run_folder, write_text
 from taichi_eye.report.page import picture, plain, table, write_page
 
 PARTS = {
     "startup": startup.measure,
+    "default": default.measure,
+    "step": step.measure,
+    "growth": growth.measure,
     "packing": packing.measure,
     "batch": batch.measure,
     "peers": peers.measure,
