@@ -1,8 +1,8 @@
 """The default scene, full `mfpm`: solver time and apex error, for several spacings and sound speeds.
 
-Time of `Simulation.run` over the scene's 32 ms with the cloud packed and the kernels compiled, no film; error of the apex
-peak against 0.959 mm, where two independent methods agree (incompressible potential flow). What is cheapest for a given error
-is a soft liquid whose mean pressure is stiff (`taichi_eye.solver.aqueous`, two sound speeds).
+Time of `Simulation.run` over the scene's 32 ms with the cloud packed and the kernels compiled, no film; error of the
+apex peak against 0.959 mm, where two independent methods agree (incompressible potential flow). What is cheapest for a
+given error is a soft liquid whose mean pressure is stiff (`taichi_eye.solver.aqueous`, two sound speeds).
 """
 from taichi_eye import backend
 from taichi_eye.bench.rows import at_most, figure

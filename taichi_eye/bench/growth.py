@@ -1,8 +1,8 @@
 """How time and memory of the coupled step grow with the nodes, and the time of a whole run with 1/h.
 
-A step is timed under a rising puff, as in the part `step`, on all threads. Memory is what the process holds more once a
-simulation has stepped than before it was made, fields, cloud and stencils; fields are made for a power of two of nodes, of
-which only what is written takes memory. A whole run takes nodes (h^-2) times steps (h^-1).
+A step is timed under a rising puff, as in the part `step`, on all threads. Memory is what the process holds more once
+a simulation has stepped than before it was made, fields, cloud and stencils; fields are made for a power of two of
+nodes, of which only what is written takes memory. A whole run takes nodes (h^-2) times steps (h^-1).
 """
 import math
 import os

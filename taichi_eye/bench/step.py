@@ -1,13 +1,13 @@
 """The coupled step against a bare gather, on one thread and on all, and what small scenes pay on top.
 
 Bare gather: one kernel that for every node reads the frozen weights which a step needs at the least, gradient and
-Laplacian of its stencil, gathers pressure and velocity of the neighbours and writes grad p, grad u and lap u; f64, the same
-14 neighbours, the same fields, one pass, images only where a stencil has them. The coupled step has to do more than that:
-its two passes gather pressure, velocity and the gradients of both (the dissipation's), and between them the cornea
-moves and is matched to the liquid. "Own gathers" is those two passes without what is done with their results.
+Laplacian of its stencil, gathers pressure and velocity of the neighbours and writes grad p, grad u and lap u; f64, the
+same 14 neighbours, the same fields, one pass, images only where a stencil has them. The coupled step has to do more
+than that: its two passes gather pressure, velocity and the gradients of both (the dissipation's), and between them the
+cornea moves and is matched to the liquid. "Own gathers" is those two passes without what is done with their results.
 
-Node-updates per second are nodes over time; the puff rises by 1 kPa/ms, about its steepest. A small scene is held against its nodes
-times the time of a node-update at 4000 nodes, all on one thread.
+Node-updates per second are nodes over time; the puff rises by 1 kPa/ms, about its steepest. A small scene is held
+against its nodes times the time of a node-update at 4000 nodes, all on one thread.
 """
 import numpy as np
 import taichi as ti
@@ -52,8 +52,8 @@ class Gathers:
             slope += weight * (self.aqueous.pressure[j] - p)
             laplacian += self.operators.laplacian_weight[i, k] * d
             slopes += ti.Matrix([[d[0] * weight[0], d[0] * weight[1]], [d[1] * weight[0], d[1] * weight[1]]])
-        self.out[i] = ti.Vector([slope[0], slope[1], laplacian[0], laplacian[1], slopes[0, 0], slopes[0, 1], slopes[1, 0],
-                                 slopes[1, 1]])
+        self.out[i] = ti.Vector([slope[0], slope[1], laplacian[0], laplacian[1], slopes[0, 0], slopes[0, 1],
+                                 slopes[1, 0], slopes[1, 1]])
 
     @ti.kernel
     def bare(self):

@@ -22,12 +22,12 @@ Dissipation. Plain collocation is unstable between walls. P ("roughness") is a r
 which vanishes for quadratic fields and on even stencils for cubic ones. Always built on the quadratic basis: with
 cubic gradients it has growing modes in the limbus wedge (up to 0.02 c/h).
 
-Speed (4089 nodes, one thread of an EPYC; `taichi-eye bench --only step` measures it). A time step is two passes over the
-stencils, each reading its weights once and gathering pressure and velocity together: 27 + 31 ns a node, where gradients,
-Laplacian and dissipation each in a loop of their own took 19 + 41 + 65. Rows without images skip their decoding (25
-against 32 ns for a bare gather). Sums are kept by component and added at the end, so that LLVM's vectoriser takes them (26
-against 31). What did not pay: all weights of an entry in one vector (a third slower), unrolling 14 neighbours (compiles ten
-times longer, runs the same), rows as wide as the stencil (5 %).
+Speed (4089 nodes, one thread of an EPYC; `taichi-eye bench --only step` measures it). A time step is two passes over
+the stencils, each reading its weights once and gathering pressure and velocity together: 27 + 31 ns a node, where
+gradients, Laplacian and dissipation each in a loop of their own took 19 + 41 + 65. Rows without images skip their
+decoding (25 against 32 ns for a bare gather). Sums are kept by component and added at the end, so that LLVM's
+vectoriser takes them (26 against 31). What did not pay: all weights of an entry in one vector (a third slower),
+unrolling 14 neighbours (compiles ten times longer, runs the same), rows as wide as the stencil (5 %).
 """
 import taichi as ti
 

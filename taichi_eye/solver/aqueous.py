@@ -6,8 +6,8 @@ Equations on a node that moves with velocity w (arbitrary Lagrangian-Eulerian), 
     du/dt  = -grad (p - mu/3 div u) / rho + (mu / rho) lap u - (u - w) . grad u + alpha c h P u
     rho    = rho0 + p / c^2.
 
-c is a numerical sound speed; the sealed chamber makes it a compliance, so its error in the apex peak goes as c^-2 (unless the
-mean pressure has a sound speed of its own, below).
+c is a numerical sound speed; the sealed chamber makes it a compliance, so its error in the apex peak goes as c^-2
+(unless the mean pressure has a sound speed of its own, below).
 
 Node motion. A node keeps its share of the height between the rigid back (0) and the cornea point above it (1) and takes
 that share of the cornea's displacement there. The map is smooth, the limbus wedge and the back stay put, and the nodes
@@ -24,17 +24,18 @@ the velocity difference along each pair, as a Riemann solver does, leaves vortic
 left at alpha 0.5 is the first coupled mode itself, growing by 0.6/s. Its price at alpha 0.5, damping of the first three
 coupled modes (309, 550, 804 Hz): none, 19/s, 133/s at h 0.25 mm and none, 4/s, 40/s at 0.18 mm.
 
-Mass fix. Collocation does not conserve mass to rounding, and in a sealed chamber a volume error is a pressure error. The
-mean pressure has a known value at every instant, rho0 c_m^2 (V0/V - 1) with V the volume under the membrane. The membrane's
-place at the end of a step is known at its start, so each step adds the uniform pressure that continuity is not going to
-bring. It converges to nothing with h and leaves all other modes alone.
+Mass fix. Collocation does not conserve mass to rounding, and in a sealed chamber a volume error is a pressure error.
+The mean pressure has a known value at every instant, rho0 c_m^2 (V0/V - 1) with V the volume under the membrane. The
+membrane's place at the end of a step is known at its start, so each step adds the uniform pressure that continuity is
+not going to bring. It converges to nothing with h and leaves all other modes alone.
 
-Two sound speeds. The mean pressure need not be as soft as the waves: c_m (`mean_sound_speed_m_s`) is its own number, and c's
-compliance of the sealed chamber goes with it. No wave travels at c_m; the explicit part of its stiffness rings with the
-wall's mass, which limits the step only beyond some 8 c (`taichi_eye.solver.timestep`). Apex peak of the default eye, h 0.2 mm,
-against the converged 0.959 mm: c 40 +0.93 %, c 20 +3.1 %; with c_m 160: c 40 +0.24 %, c 20 +0.26 %. What is left of c is the
-inertia of its waves: the first radial one of the chamber is 2 kHz at c 20, the puff below 0.2 kHz. Adding the change of the
-last step instead of the coming one blows up at a quarter of that c_m.
+Two sound speeds. The mean pressure need not be as soft as the waves: c_m (`mean_sound_speed_m_s`) is its own number,
+and c's compliance of the sealed chamber goes with it. No wave travels at c_m; the explicit part of its stiffness rings
+with the wall's mass, which limits the step only beyond some 8 c (`taichi_eye.solver.timestep`). Apex peak of the
+default eye, h 0.2 mm, against the converged 0.959 mm: c 40 +0.93 %, c 20 +3.1 %; with c_m 160: c 40 +0.24 %, c 20
++0.26 %. What is left of c is the inertia of its waves: the first radial one of the chamber is 2 kHz at c 20, the puff
+below 0.2 kHz. Correcting by the change of volume of the last step instead of the coming one blows up at half of the
+c_m (c 20: at 160, not at 320).
 
 Open chamber. To ask what the sealed volume does, fluid may leave: a sink of uniform rate q [1/s] takes it with the
 velocity and the pressure it has, so momentum keeps its equation and continuity becomes
