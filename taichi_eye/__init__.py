@@ -5,7 +5,8 @@
     result = taichi_eye.run(scene, out="renders/iop20")
     result.traces["apex_displacement_mm"].max()
 
-`Simulation` is the coupled solver without film and files, `run_batch` the same for many scenes at once.
+`Simulation` is the coupled solver without film and files, `run_batch` the same for many scenes at once, `simulation_of` the
+rung of the ladder that a scene's fidelity asks for.
 """
 import os
 
@@ -17,7 +18,7 @@ from taichi_eye.errors import RunStopped, SceneError  # noqa: E402
 from taichi_eye.scene import Scene, dump_scene, load_scene  # noqa: E402
 
 __all__ = ["RunResult", "RunStopped", "Scene", "SceneError", "Simulation", "dump_scene", "init", "load_scene", "run",
-           "run_batch"]
+           "run_batch", "simulation_of"]
 __version__ = "0.1.0"
 
 
@@ -29,6 +30,9 @@ def __getattr__(name):
     if name == "Simulation":
         from taichi_eye.solver.simulation import Simulation
         return Simulation
+    if name == "simulation_of":
+        from taichi_eye.ladder.rungs import simulation_of
+        return simulation_of
     if name == "run_batch":
         from taichi_eye.solver.batch import run_batch
         return run_batch

@@ -29,7 +29,9 @@ def with_numerics(scene: Scene, **changes) -> Scene:
 
 
 def simulation_of(scene: Scene, cloud: Cloud | None = None) -> Simulation | Reduced:
-    """The simulation that a scene's fidelity asks for ("auto" has been decided before, see `taichi_eye.ladder.choose`)."""
+    """The simulation that a scene's fidelity asks for; ValueError for "auto", which `taichi_eye.ladder.choose` decides first."""
+    if scene.numerics.fidelity == "auto":
+        raise ValueError('numerics.fidelity = "auto" has to be decided first: taichi_eye.ladder.choose.choose(scene).scene')
     if scene.numerics.fidelity == "mfpm":
         return Simulation(scene, cloud)
     return Reduced(scene, scene.numerics.fidelity, cloud)
