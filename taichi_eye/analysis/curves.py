@@ -25,7 +25,7 @@ REST_MS = 1.2                # frames that make up the resting shape
 SYMMETRY_MM = 2.2            # reach of the symmetry that gives the axis
 MOVED_MM = 0.05
 FOUND_MIN = 0.6              # share of the central columns with an edge, for a frame to count
-CENTRAL_MM = 0.8             # half width of the zone of the central thickness
+CENTRAL_MM = 0.6             # half width of the zone of the central thickness
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Curves:
     """The anterior surface over time.
 
     time_ms [frames], rising; x_mm [points]; height_mm [frames, points], NaN where not seen; thickness_mm [frames], the
-    mean over the central 1.6 mm, and thickness_profile_mm [points] at rest, or None. axis_column_px, apex_row_px,
+    mean over the central 1.2 mm, and thickness_profile_mm [points] at rest, or None. axis_column_px, apex_row_px,
     tilt_deg: where the eye lies in the frame. notes: what a reader should know.
     """
 

@@ -41,6 +41,7 @@ LINE_WITHIN_PX = 9.0     # the anterior line peaks so far below its edge, at mos
 OUTLIER_PX = 2.5         # from the median of the neighbouring columns
 GROUP_PX = 12            # columns of a posterior fit
 ACROSS_GROUPS = 3        # groups whose misfits are averaged
+ALONG_FRAMES = 0.25, 0.5, 0.25   # weights of a frame's misfit and its neighbours': depth changes little between frames
 POSTERIOR_SIGMA_PX = 2.55
 POSTERIOR_FROM_PX = 6.0
 LINE_AT_PX, LINE_SIGMA_PX = 4.5, 2.2
@@ -235,6 +236,7 @@ def _fall(depth: np.ndarray, level: np.ndarray) -> np.ndarray:
 
     misfit = correlate1d(_misfit(depth, level, candidates, lit), np.full(ACROSS_GROUPS, 1.0 / ACROSS_GROUPS), axis=2,
                          mode="nearest")
+    misfit = correlate1d(misfit, ALONG_FRAMES, axis=1, mode="nearest")
     misfit[far] = np.inf
     usual = median_filter(candidates[misfit.argmin(axis=0)], size=(5, 9), mode="nearest")
     misfit[np.abs(candidates[:, None, None] - usual) > POSTERIOR_STRAY_PX] = np.inf

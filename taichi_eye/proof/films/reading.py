@@ -2,7 +2,7 @@
 
 Ten eyes that differ in shape, thickness, depth, width and speed of the dent, retreat and place in the frame; some with
 several seeds of noise. Each row is the worst over all films. Edges: central 7 mm, against the wall that was drawn. Apex:
-of the smoothed history against the true one treated alike. Thickness: mean of the central 1.6 mm; at rest the mean of the
+of the smoothed history against the true one treated alike. Thickness: mean of the central 1.2 mm; at rest the mean of the
 first 3 ms; through the puff the largest departure of a single frame from that mean.
 """
 from __future__ import annotations
