@@ -303,7 +303,7 @@ class Cornea:
 
     @ti.func
     def wave_speeds(self, eye, k):
-        """Speeds [m/s] of the in-plane and the transverse waves in element k; the in-plane tangent is the meridian's."""
+        """Stress S1, S2 [Pa] of element k and the speeds [m/s] of in-plane waves (by the meridian's tangent) and transverse ones."""
         first = self.first[eye]
         strain = self.strain_of(k)
         stress, energy = self.stress_of(eye, strain, self.prestrain[k])
@@ -313,7 +313,7 @@ class Cornea:
         slope = (1.0 - nu) * strain[0] + nu * (strain[0] + strain[1])
         stretch_squared = 2.0 * (strain[0] - self.prestrain[k]) + 1.0
         stiffness = grown * (1.0 + 2.0 * s * slope * slope) * stretch_squared + stress[0]
-        return ti.sqrt(ti.max(stiffness, 0.0) / density), ti.sqrt(ti.max(stress[0], 0.0) / density)
+        return stress, ti.sqrt(ti.max(stiffness, 0.0) / density), ti.sqrt(ti.max(stress[0], 0.0) / density)
 
     @ti.func
     def kinetic_energy(self, eye):

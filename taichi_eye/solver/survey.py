@@ -106,21 +106,11 @@ class Survey:
                 flattest, flat = share, self.aqueous.triangle[t, 0]
         least, slackest = ti.math.inf, first
         in_plane, transverse, step = 0.0, 0.0, ti.math.inf
-        around = 0.5 * (self.cornea.element_volume[first] + self.cornea.element_volume[first + 1])
-        density = self.cornea.mass[first + 1] / around
         for k in range(first, first + walls - 1):
-            strain = self.cornea.strain_of(k)
-            stress, energy = self.cornea.stress_of(eye, strain, self.cornea.prestrain[k])
+            stress, speed, across = self.cornea.wave_speeds(eye, k)
             if ti.min(stress[0], stress[1]) < least:
                 least, slackest = ti.min(stress[0], stress[1]), k
-            s, nu = self.cornea.material[eye, 1], self.cornea.material[eye, 2]
-            grown = 2.0 * s * (energy + self.cornea.material[eye, 0])
-            slope = (1.0 - nu) * strain[0] + nu * (strain[0] + strain[1])
-            stretch_squared = 2.0 * (strain[0] - self.cornea.prestrain[k]) + 1.0
-            stiffness = grown * (1.0 + 2.0 * s * slope * slope) * stretch_squared + stress[0]
-            speed = ti.sqrt(ti.max(stiffness, 0.0) / density)
-            in_plane = ti.max(in_plane, speed)
-            transverse = ti.max(transverse, ti.sqrt(ti.max(stress[0], 0.0) / density))
+            in_plane, transverse = ti.max(in_plane, speed), ti.max(transverse, across)
             step = ti.min(step, self.cornea.element_length[k] / ti.max(speed, 1e-6))
         room, near, travel = ti.math.inf, first, 0.0
         for i in range(first, first + walls - 1):

@@ -97,7 +97,7 @@ class WallStepper:
         step = ti.math.inf
         shortest = ti.math.inf
         for k in range(self.cornea.last[0]):
-            in_plane, transverse = self.cornea.wave_speeds(0, k)
+            stress, in_plane, transverse = self.cornea.wave_speeds(0, k)
             length = self.cornea.element_length[k]
             step = ti.min(step, length / ti.max(ti.max(in_plane, transverse), 1e-6))
             shortest = ti.min(shortest, length)
