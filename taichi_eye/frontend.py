@@ -25,7 +25,10 @@ def _place(context, node) -> str:
 
 def _inside_class(level_of_class_stackframe: int) -> bool:
     """Whether the statement that runs in the frame so far up is a class."""
-    frame = sys._getframe(level_of_class_stackframe)
+    try:
+        frame = sys._getframe(level_of_class_stackframe)
+    except ValueError:
+        return False          # a function of the script that runs: nothing is above it
     return bool(IN_CLASS.match(linecache.getline(frame.f_code.co_filename, frame.f_lineno).strip()))
 
 

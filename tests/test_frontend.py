@@ -1,5 +1,9 @@
 """Taichi's front end by the short ways: the same sources, the same kinds of kernels, errors that still say where."""
 import inspect
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 import taichi as ti
@@ -40,6 +44,15 @@ def test_kernels_in_a_class_know_their_object():
     backend.real()
     one, other = Counter(), Counter()
     assert [one.count(2), one.count(3), other.count(4)] == [2, 5, 4]
+
+
+def test_a_script_may_have_kernels_of_its_own(tmp_path):
+    script = tmp_path / "mine.py"
+    script.write_text("import taichi as ti\nfrom taichi_eye import backend\nbackend.init()\n\n"
+                      "@ti.kernel\ndef twice(x: int) -> int:\n    return 2 * x\n\nprint(twice(21))\n")
+    path = os.pathsep.join(filter(None, [str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH")]))
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, env=os.environ | {"PYTHONPATH": path})
+    assert done.stdout.split()[-1:] == ["42"], done.stderr
 
 
 def test_a_compile_error_says_file_line_and_function():
