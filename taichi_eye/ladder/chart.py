@@ -37,6 +37,7 @@ def settings() -> list[Setting]:
     found += [Setting("mfpm", h, c) for c in (10.0, 20.0, 40.0) for h in SPACINGS[:3]]
     found += [Setting("mfpm", h, 80.0) for h in SPACINGS[:4]]
     found += [Setting("mfpm", 0.1414, 40.0)]
+    found += [Setting("mfpm", h, c, 5.0 * c) for h, c in ((0.4, 20.0), (0.2828, 20.0), (0.2, 20.0), (0.2, 32.0), (0.1414, 32.0))]
     found += [Setting("mfpm", 0.2, 40.0, **change) for change in (
         {"cfl": 0.4}, {"coupling": "loose"}, {"basis": "cubic"}, {"precision": "f32"}, {"threads": 1})]
     found += [Setting("mfpm", 0.2, 160.0), Setting("mfpm", 0.1, 40.0), Setting("mfpm", 0.1414, 160.0),

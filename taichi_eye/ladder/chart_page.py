@@ -28,7 +28,7 @@ def plot(chart: Chart) -> Figure:
     _lines(axes, chart)
     for label in front:
         point = chart.points[label].setting
-        words = f"h {point.spacing_mm:g}" + (f", c {point.sound_speed_m_s:g}" if point.fidelity == "mfpm" else "")
+        words = f"h {point.spacing_mm:g}" + (f", c {point.sound_speed_m_s:g}" if point.sound_speed_m_s else "")
         axes.annotate(words, (chart.points[label].whole_s, chart.error(label)), xytext=(6, 5),
                       textcoords="offset points", fontsize=7.5, color="#4c5560")
     for tolerance in TOLERANCES:
@@ -56,13 +56,13 @@ def _lines(axes, chart):
         plain = not (setting.basis or setting.coupling or setting.cfl or setting.refresh_travel or setting.threads
                      or setting.precision != "f64")
         if plain:
-            groups.setdefault((setting.fidelity, setting.sound_speed_m_s), []).append(label)
-    for (rung, c), labels in groups.items():
+            groups.setdefault((setting.fidelity, setting.sound_speed_m_s, setting.mean_sound_speed_m_s), []).append(label)
+    for (rung, c, mean), labels in groups.items():
         labels.sort(key=lambda name: -chart.points[name].setting.spacing_mm)
         x, y = [chart.points[label].whole_s for label in labels], [chart.error(label) for label in labels]
         axes.plot(x, y, color=MARKS[rung][1], linewidth=0.8, alpha=0.6, zorder=2)
         if c:
-            axes.annotate(f"c {c:g}", (x[0], y[0]), xytext=(-8, 6), textcoords="offset points", fontsize=7.5,
+            axes.annotate(f"c {c:g}" + (f"/{mean:g}" if mean else ""), (x[0], y[0]), xytext=(-8, 6), textcoords="offset points", fontsize=7.5,
                           color=MARKS[rung][1], ha="right")
 
 

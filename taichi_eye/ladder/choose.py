@@ -14,7 +14,10 @@ where a pilot is already the run that was asked for, it is the run. All in perce
     map's grid  of `added_mass`: `MAP_SHARE` of the inertia at 0.4 mm, as h^2. Measured on 10 ms puffs against maps on fine
                 clouds: 5 % of the inertia with the eye's own aqueous humour, 18 % with one three times as dense.
     viscosity   of every rung but `mfpm`: what the flow of the thin layer would lose to viscosity, over the puff's work.
-    sound speed of `mfpm`: cavity that yields as the liquid does at c = 40 m/s against one that does not; goes as c^-2.
+    sound speed of `mfpm`: cavity that yields as the liquid does at c = 40 m/s against one that does not, which goes as c^-2
+                with the sound speed of the mean pressure, up to STIFFER times that of the waves; and of the waves
+                `WAVE_SHARE` of the inertia at 20 m/s, as c^-2 (the modes of the cylinder of `taichi-eye verify` are
+                1.1 % low there, so the added mass is 2 % high).
 
 `MARGIN` is kept free for what is not estimated. A rung whose pilot leaves its validity (a slack cornea, a cornea at the back
 of the chamber) is refused with its reason; the last rung is never refused: it stops by itself. A thin layer of 8 elements
@@ -41,6 +44,8 @@ LIVELY = 5.0  # percent of inertia
 MAP_SHARE = 0.12  # of the inertia that a flow map at COARSEST_MM gets wrong
 COARSEST_MM, FINEST_MM = 0.4, 0.05  # spacings offered where nodes are packed, and the finest at all
 PILOT_C = 40.0  # m/s
+STIFFER, STIFFEST = 5.0, 160.0  # sound speed of the mean pressure over that of the waves, and in m/s: more costs time steps
+WAVE_SHARE = 0.04
 SPEEDS = (20.0, 30.0, 40.0, 60.0, 80.0, 120.0, 160.0)  # m/s, of mfpm
 
 
@@ -203,19 +208,23 @@ class _Climb:
             soft = 1.0  # what the default eye has
         best = None
         for c in SPEEDS:
-            by_sound = soft * (PILOT_C / c) ** 2 if self.scene.chamber.sealed else 0.0
+            by_sound = self._by_sound(soft, c)
             spacing = min(self._finest(space, size, self.allowed - by_sound), COARSEST_MM, self._roomiest())
             if spacing >= FINEST_MM and (best is None or c / spacing**3 < best[0]):
                 best = c / spacing**3, c, spacing, by_sound
         if best is None:
-            best = 0.0, SPEEDS[-1], FINEST_MM, soft * (PILOT_C / SPEEDS[-1]) ** 2
+            best = 0.0, SPEEDS[-1], FINEST_MM, self._by_sound(soft, SPEEDS[-1])
         _, c, spacing, by_sound = best
         error = space * (spacing / size) ** 2
         self.choice.estimates["mfpm"] = {"space": error, "sound speed": by_sound}
         self._take("mfpm", spacing, f"{self._why_not_cavity()}; space {error:.2g} % and c = {c:g} m/s "
                    f"{by_sound:.2g} %" + ("" if error + by_sound <= tolerance else f" are more than {tolerance:g} %, but "
                                           "no setting offered does better"), sound_speed_m_s=c,
-                   mean_sound_speed_m_s=c)
+                   mean_sound_speed_m_s=_mean_speed(c))
+
+    def _by_sound(self, soft, c) -> float:
+        waves = WAVE_SHARE * (self.inertia or 0.0) * (20.0 / c) ** 2
+        return waves + (soft * (PILOT_C / _mean_speed(c)) ** 2 if self.scene.chamber.sealed else 0.0)
 
     def _roomiest(self) -> float:
         """The coarsest spacing [mm] that the chamber's depth on the axis holds four of."""
@@ -232,6 +241,10 @@ class _Climb:
                 if sum(estimates[rung].values()) > 1.001 * self.allowed:
                     said.append(f"{rung} would be {sum(estimates[rung].values()):.2g} % off by {source}")
         return ", ".join(said) or "cavity leaves out inertia that counts"
+
+
+def _mean_speed(c: float) -> float:
+    return max(c, min(STIFFER * c, STIFFEST))
 
 
 def viscous_share(run: Reduced) -> float:

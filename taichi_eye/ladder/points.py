@@ -23,6 +23,7 @@ class Setting:
     fidelity: str
     spacing_mm: float
     sound_speed_m_s: float | None = None
+    mean_sound_speed_m_s: float | None = None
     basis: str | None = None
     coupling: str | None = None
     cfl: float | None = None
@@ -35,6 +36,7 @@ class Setting:
         """The setting in a few words; it names a point of a chart."""
         words = [f"{self.fidelity} h {self.spacing_mm:g}"]
         words += [f"c {self.sound_speed_m_s:g}"] if self.sound_speed_m_s else []
+        words += [f"mean {self.mean_sound_speed_m_s:g}"] if self.mean_sound_speed_m_s else []
         words += [str(word) for word in (self.basis, self.coupling) if word]
         words += [f"cfl {self.cfl:g}"] if self.cfl else []
         words += [f"refresh {self.refresh_travel:g}"] if self.refresh_travel else []

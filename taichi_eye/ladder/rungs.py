@@ -22,9 +22,14 @@ RUNGS = ("membrane", "cavity", "added_mass", "mfpm")
 
 
 def with_numerics(scene: Scene, **changes) -> Scene:
-    """The scene with other values of [numerics]; a new fidelity brings its own refresh_travel unless given."""
+    """The scene with other values of [numerics].
+
+    Unless given, a new fidelity brings its own refresh_travel, and a new sound speed is that of the mean pressure, too.
+    """
     if "fidelity" in changes:
         changes.setdefault("refresh_travel", REFRESH_TRAVEL[changes["fidelity"] == "added_mass"])
+    if "sound_speed_m_s" in changes:
+        changes.setdefault("mean_sound_speed_m_s", changes["sound_speed_m_s"])
     return replace(scene, numerics=replace(scene.numerics, **changes))
 
 

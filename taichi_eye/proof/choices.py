@@ -77,7 +77,8 @@ def grid() -> list[Setting]:
     """What a user might have set by hand, cheap rungs and coarse settings first."""
     found = [Setting("membrane", 0.2)]
     found += [Setting("cavity", h) for h in SPACINGS[2:5]] + [Setting("added_mass", h) for h in SPACINGS[:4]]
-    return found + [Setting("mfpm", h, c) for h, c in ((0.4, 20.0), (0.4, 40.0), (0.2828, 30.0), (0.2, 40.0))]
+    return found + [Setting("mfpm", h, c, mean) for h, c, mean in (
+        (0.4, 20.0, 20.0), (0.4, 20.0, 100.0), (0.2828, 20.0, 100.0), (0.2, 40.0, 40.0), (0.2, 20.0, 100.0))]
 
 
 def judge(name: str, tell=lambda text: None) -> list[Row]:
@@ -116,7 +117,8 @@ def judge(name: str, tell=lambda text: None) -> list[Row]:
 
 def _setting_of(choice: Choice) -> Setting:
     numerics = choice.scene.numerics
-    return Setting(numerics.fidelity, numerics.spacing_mm, numerics.sound_speed_m_s, refresh_travel=numerics.refresh_travel)
+    return Setting(numerics.fidelity, numerics.spacing_mm, numerics.sound_speed_m_s, numerics.mean_sound_speed_m_s,
+                   refresh_travel=numerics.refresh_travel)
 
 
 def _timed(scene) -> tuple[Choice, float]:
