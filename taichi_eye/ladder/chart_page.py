@@ -1,4 +1,5 @@
 """A chart as a picture, a table and a page."""
+import math
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -26,11 +27,14 @@ def plot(chart: Chart) -> Figure:
         axes.plot([chart.points[label].whole_s for label in labels], [chart.error(label) for label in labels], mark,
                   color=colour, markersize=6, label=rung, zorder=3)
     _lines(axes, chart)
+    told: list[tuple[float, float]] = []
     for label in front:
-        point = chart.points[label].setting
+        point, place = chart.points[label].setting, (chart.points[label].whole_s, chart.error(label))
+        if any(abs(math.log10(place[0] / x)) < 0.25 and abs(math.log10(place[1] / y)) < 0.12 for x, y in told):
+            continue          # it would be written over its neighbour
+        told.append(place)
         words = f"h {point.spacing_mm:g}" + (f", c {point.sound_speed_m_s:g}" if point.sound_speed_m_s else "")
-        axes.annotate(words, (chart.points[label].whole_s, chart.error(label)), xytext=(6, 5),
-                      textcoords="offset points", fontsize=7.5, color="#4c5560")
+        axes.annotate(words, place, xytext=(6, 5), textcoords="offset points", fontsize=7.5, color="#4c5560")
     for tolerance in TOLERANCES:
         axes.axhline(tolerance, color="#d2d7db", linewidth=0.8, zorder=0)
     if chart.uncertainty:

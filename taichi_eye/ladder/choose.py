@@ -40,7 +40,7 @@ from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
 PILOT = 8  # elements of the coarsest pilots
 OFFERED = 4 * PILOT  # of the coarsest uniform rung offered: it costs 10 ms, and fewer make a film of a polygon
 MARGIN = 0.15  # share of the tolerance that the estimates leave free
-LIVELY = 5.0  # percent of inertia
+LIVELY = 10.0  # percent of inertia
 MAP_SHARE = 0.12  # of the inertia that a flow map at COARSEST_MM gets wrong
 COARSEST_MM, FINEST_MM = 0.4, 0.05  # spacings offered where nodes are packed, and the finest at all
 PILOT_C = 40.0  # m/s
@@ -87,7 +87,7 @@ def choose(scene: Scene) -> Choice:
 
 @dataclass(frozen=True)
 class _Pilot:
-    """Traces of a finished pilot, and its viscous share."""
+    """Traces of a finished pilot, and the viscous share of a thin layer."""
 
     traces: dict
     viscous: float
@@ -130,7 +130,7 @@ class _Climb:
     def _pilot(self, *model, **numerics) -> _Pilot:
         """What is kept of such a run: the next pilot takes over its fields and kernels."""
         simulation = self._run(*model, **numerics)
-        return _Pilot(simulation.traces, viscous_share(simulation))
+        return _Pilot(simulation.traces, viscous_share(simulation) if model[0] == "layer" else 0.0)
 
     def _apart(self, one, other) -> float:
         return misfit(one.traces, other.traces).of(self.numerics.tolerance_on)
@@ -152,11 +152,12 @@ class _Climb:
         if self.inertia + self.viscous > self.allowed:
             self.choice.estimates["cavity"] = {"inertia": self.inertia, "viscosity": self.viscous}
             return False
-        full = self._run("cavity", OFFERED)
+        run = self._run("cavity", OFFERED)
+        full = _Pilot(run.traces, 0.0)
         space, size = self._apart(full, rough) / 15.0, self.length_mm / OFFERED
         errors = {"inertia": self.inertia, "viscosity": self.viscous, "space": space}
         pressure = full.traces["fluid_pressure_apex_kpa"]
-        rise = 100.0 * float(np.abs(pressure - pressure[0]).max()) / max(float(full.puff.peak) * 1e-3, 1e-9)
+        rise = 100.0 * float(np.abs(pressure - pressure[0]).max()) / max(float(run.puff.peak) * 1e-3, 1e-9)
         rung = "cavity" if sealed and rise + sum(errors.values()) > self.allowed else "membrane"
         if sealed:
             self.choice.estimates["membrane"] = {"IOP": rise}
@@ -164,7 +165,7 @@ class _Climb:
         self.choice.estimates[rung] = {**errors, "space": space * (spacing / size) ** 2}
         if spacing < FINEST_MM:
             return False
-        ready = full if spacing == size and rung == "cavity" else None
+        ready = run if spacing == size and rung == "cavity" else None
         return self._take(rung, spacing, f"inertia {self.inertia:.2g} % and space "
                           f"{self.choice.estimates[rung]['space']:.2g} % stay within {tolerance:g} %", ready)
 

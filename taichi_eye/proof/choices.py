@@ -78,7 +78,7 @@ def grid() -> list[Setting]:
     found = [Setting("membrane", 0.2)]
     found += [Setting("cavity", h) for h in SPACINGS[2:5]] + [Setting("added_mass", h) for h in SPACINGS[:4]]
     return found + [Setting("mfpm", h, c, mean) for h, c, mean in (
-        (0.4, 20.0, 20.0), (0.4, 20.0, 100.0), (0.2828, 20.0, 100.0), (0.2, 40.0, 40.0), (0.2, 20.0, 100.0))]
+        (0.4, 20.0, 100.0), (0.2, 20.0, 100.0))]
 
 
 def judge(name: str, tell=lambda text: None) -> list[Row]:
