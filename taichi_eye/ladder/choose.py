@@ -11,7 +11,7 @@ where a pilot is already the run that was asked for, it is the run. All in perce
     IOP         of `membrane` in a sealed chamber: the pressure's rise over the puff's.
     map's age   of `added_mass`: thin layer with 8 elements refreshed at 0.5 spacings against 0.25, which goes with the travel;
                 doubled, as on short puffs it came out half of what it was.
-    map's grid  of `added_mass`: `MAP_SHARE` of the inertia at 0.4 mm, as h^2. Measured on 10 ms puffs against maps on fine
+    map's grid  of `added_mass`, and as much of `mfpm`: `MAP_SHARE` of the inertia at 0.4 mm, as h^2. Measured on 10 ms puffs against maps on fine
                 clouds: 5 % of the inertia with the eye's own aqueous humour, 18 % with one three times as dense.
     viscosity   of every rung but `mfpm`: what the flow of the thin layer would lose to viscosity, over the puff's work.
     sound speed of `mfpm`: cavity that yields as the liquid does at c = 40 m/s against one that does not, which goes as c^-2
@@ -40,7 +40,7 @@ from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
 PILOT = 8  # elements of the coarsest pilots
 OFFERED = 4 * PILOT  # of the coarsest uniform rung offered: it costs 10 ms, and fewer make a film of a polygon
 MARGIN = 0.15  # share of the tolerance that the estimates leave free
-LIVELY = 10.0  # percent of inertia
+MAP_S, NODE_STEP_S, SAMPLES_S = 5e-3, 9e-8, 0.02  # of a flow map at 0.2 mm, of mfpm a node and step, and its samples per ms
 MAP_SHARE = 0.12  # of the inertia that a flow map at COARSEST_MM gets wrong
 COARSEST_MM, FINEST_MM = 0.4, 0.05  # spacings offered where nodes are packed, and the finest at all
 PILOT_C = 40.0  # m/s
@@ -103,6 +103,8 @@ class _Climb:
         self.length_mm = cornea.radius_mm * math.asin(cornea.limbus_radius_mm / cornea.radius_mm)
         self.choice = Choice(scene)
         self.inertia: float | None = None  # in percent, once a thin layer has run
+        self.space, self.size = 1.0, 0.25  # space error in percent at a spacing in mm, until pilots tell
+        self.slow = ""
 
     def climb(self) -> Choice:
         for rung in (self._uniform, self._added_mass):
@@ -171,8 +173,8 @@ class _Climb:
 
     def _added_mass(self) -> bool:
         tolerance = self.numerics.tolerance_percent
-        # where inertia is much of the motion, eight elements ring too coarsely to tell
-        elements = PILOT if self.inertia is not None and self.inertia < LIVELY else 2 * PILOT
+        # where eight elements blew up, they ring too coarsely to tell
+        elements = PILOT if self.inertia is not None else 2 * PILOT
         coarse, often = self._pilot("layer", elements), self._pilot("layer", elements, refresh_travel=0.25)
         fine = self._pilot("layer", 2 * elements)
         if self.inertia is None:
@@ -182,14 +184,20 @@ class _Climb:
         age = 2.0 * self._apart(coarse, often) / 0.25  # per spacing of travel at `size`
         self.viscous = fine.viscous
         left = self.allowed - self.viscous
-        grid = MAP_SHARE * self.inertia * (self.size / COARSEST_MM) ** 2
-        spacing = min(self._finest(self.space + grid, self.size, 0.75 * left), COARSEST_MM, self._roomiest())
+        space, grid = self.space, MAP_SHARE * self.inertia * (self.size / COARSEST_MM) ** 2
+        self.space += grid  # as mfpm has it
+        spacing = min(self._finest(self.space, self.size, 0.75 * left), COARSEST_MM, self._roomiest())
         travel = min(0.5, float(0.25 * left / max(age * spacing / size, 1e-12))) if left > 0.0 else 0.0
         refined = (spacing / self.size) ** 2
         self.choice.estimates["added_mass"] = errors = {
-            "space": self.space * refined, "map's grid": grid * refined, "map's age": age * travel * spacing / size,
+            "space": space * refined, "map's grid": grid * refined, "map's age": age * travel * spacing / size,
             "viscosity": self.viscous}
         if left <= 0.0 or spacing < FINEST_MM or travel < 0.02:
+            return False
+        travelled = float(np.abs(np.diff(fine.traces["apex_displacement_mm"])).sum())
+        maps_s = MAP_S * (0.2 / spacing) ** 2.4 * travelled / (travel * spacing)
+        if maps_s > self._mfpm_setting()[0]:
+            self.slow = f"added_mass would take some {maps_s:.2g} s for its flow maps"
             return False
         source = max(errors, key=errors.get)
         return self._take("added_mass", spacing, f"{self._why_not_cavity()}; {source} {errors[source]:.2g} % and the rest "
@@ -197,31 +205,36 @@ class _Climb:
 
     def _mfpm(self) -> None:
         tolerance = self.numerics.tolerance_percent
-        space, size = getattr(self, "space", 1.0), getattr(self, "size", 0.25)
-        try:
-            stiff = self._pilot("cavity", PILOT)
-            volume = Section.from_scene(self.scene).volume()
-            give = volume / (self.scene.aqueous.density_kg_m3 * PILOT_C**2) / MM3 * MMHG
-            chamber = replace(self.scene.chamber,
-                              compliance_mm3_mmhg=self.scene.chamber.compliance_mm3_mmhg + give)
-            soft = self._apart(self._pilot("cavity", PILOT, replace(self.scene, chamber=chamber)), stiff)
-        except _Refused:
-            soft = 1.0  # what the default eye has
-        best = None
-        for c in SPEEDS:
-            by_sound = self._by_sound(soft, c)
-            spacing = min(self._finest(space, size, self.allowed - by_sound), COARSEST_MM, self._roomiest())
-            if spacing >= FINEST_MM and (best is None or c / spacing**3 < best[0]):
-                best = c / spacing**3, c, spacing, by_sound
-        if best is None:
-            best = 0.0, SPEEDS[-1], FINEST_MM, self._by_sound(soft, SPEEDS[-1])
-        _, c, spacing, by_sound = best
-        error = space * (spacing / size) ** 2
+        _, c, spacing, error, by_sound = self._mfpm_setting()
         self.choice.estimates["mfpm"] = {"space": error, "sound speed": by_sound}
         self._take("mfpm", spacing, f"{self._why_not_cavity()}; space {error:.2g} % and c = {c:g} m/s "
                    f"{by_sound:.2g} %" + ("" if error + by_sound <= tolerance else f" are more than {tolerance:g} %, but "
                                           "no setting offered does better"), sound_speed_m_s=c,
                    mean_sound_speed_m_s=_mean_speed(c))
+
+    def _mfpm_setting(self) -> tuple[float, float, float, float, float]:
+        """The cheapest of SPEEDS with the spacing it leaves: time expected [s], c, spacing [mm], errors by space and sound."""
+        try:
+            volume = Section.from_scene(self.scene).volume()
+            give = volume / (self.scene.aqueous.density_kg_m3 * PILOT_C**2) / MM3 * MMHG
+            chamber = replace(self.scene.chamber,
+                              compliance_mm3_mmhg=self.scene.chamber.compliance_mm3_mmhg + give)
+            soft = self._apart(self._pilot("cavity", PILOT, replace(self.scene, chamber=chamber)),
+                               self._pilot("cavity", PILOT))
+        except _Refused:
+            soft = 1.0  # what the default eye has
+        offered = []
+        for c in SPEEDS:
+            by_sound = self._by_sound(soft, c)
+            spacing = min(self._finest(self.space, self.size, self.allowed - by_sound), COARSEST_MM, self._roomiest())
+            if spacing >= FINEST_MM:
+                offered.append((self._mfpm_s(c, spacing), c, spacing, self.space * (spacing / self.size) ** 2, by_sound))
+        finest = (math.inf, SPEEDS[-1], FINEST_MM, self.space * (FINEST_MM / self.size) ** 2, self._by_sound(soft, SPEEDS[-1]))
+        return min(offered, default=finest)
+
+    def _mfpm_s(self, c, spacing) -> float:
+        """Expected time [s] of an mfpm run: some 2 c / h steps a millisecond, 13 mm^2 of section."""
+        return self.numerics.duration_ms * (SAMPLES_S + NODE_STEP_S * 13.0 / spacing**2 * 2.0 * c / spacing)
 
     def _by_sound(self, soft, c) -> float:
         waves = WAVE_SHARE * (self.inertia or 0.0) * (20.0 / c) ** 2
@@ -241,6 +254,8 @@ class _Climb:
                 source, worst = max(estimates[rung].items(), key=lambda item: item[1])
                 if sum(estimates[rung].values()) > 1.001 * self.allowed:
                     said.append(f"{rung} would be {sum(estimates[rung].values()):.2g} % off by {source}")
+        if self.slow:
+            said.append(self.slow)
         return ", ".join(said) or "cavity leaves out inertia that counts"
 
 

@@ -25,11 +25,21 @@ def test_a_tighter_tolerance_never_takes_a_cheaper_rung_or_a_coarser_spacing():
     assert {choice.scene.numerics.fidelity for choice in choices} >= {"cavity", "added_mass"}
 
 
+SHORT_AND_HEAVY = ("puff.duration_ms=10", "aqueous.density_kg_m3=3000", "numerics.duration_ms=8")
+
+
 def test_inertia_decides_between_cavity_and_added_mass():
-    slow = auto(3)
-    quick = auto(3, "puff.duration_ms=10", "aqueous.density_kg_m3=3000", "numerics.duration_ms=8")
+    slow, quick = auto(10), auto(10, *SHORT_AND_HEAVY)
     assert slow.scene.numerics.fidelity == "cavity" and quick.scene.numerics.fidelity == "added_mass"
     assert "inertia" in quick.reason and slow.estimates["cavity"]["inertia"] < 3.0
+
+
+def test_flow_maps_that_age_too_fast_ask_for_the_resolved_liquid():
+    choice = auto(1, *SHORT_AND_HEAVY)
+    numerics = choice.scene.numerics
+    assert numerics.fidelity == "mfpm" and "flow maps" in choice.reason
+    assert numerics.mean_sound_speed_m_s >= numerics.sound_speed_m_s
+    assert sum(choice.estimates["mfpm"].values()) <= 1.0
 
 
 @pytest.mark.parametrize("tolerance", [10, 1])
