@@ -20,9 +20,7 @@ def parser() -> argparse.ArgumentParser:
     run = commands.add_parser("run", help="simulate a scene and film it into a run folder",
                               description="Simulate a scene and film it into a run folder: film.mp4, apex.png, "
                               "sheet.png, traces.csv, summary.json, scene.toml.")
-    run.add_argument("scene", nargs="?", help="scene file (TOML); without one, the default eye")
-    run.add_argument("--set", dest="overrides", metavar="SECTION.KEY=VALUE", action="append", default=[],
-                     help="override a key of the scene; may be repeated")
+    _take_scene(run)
     run.add_argument("--out", metavar="DIR", help="run folder, new or empty (default: a new one under renders/)")
     run.add_argument("--compare", metavar="CSV", help="measured history to draw into apex.png: columns time_ms and "
                      "apex_displacement_mm or deflection_mm")
@@ -66,13 +64,17 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
+def _take_scene(command) -> None:
+    command.add_argument("scene", nargs="?", help="scene file (TOML); without one, the default eye")
+    command.add_argument("--set", dest="overrides", metavar="SECTION.KEY=VALUE", action="append", default=[],
+                         help="override a key of the scene; may be repeated")
+
+
 def _add_chart(commands) -> None:
     chart = commands.add_parser("chart", help="chart speed against accuracy: rungs and settings side by side",
                                 description="Run a scene under every rung of the ladder and many settings, and chart wall time "
                                 "against error: chart.png, chart.html, chart.json. Can be interrupted and resumed.")
-    chart.add_argument("scene", nargs="?", help="scene file (TOML); without one, the default eye")
-    chart.add_argument("--set", dest="overrides", metavar="SECTION.KEY=VALUE", action="append", default=[],
-                       help="override a key of the scene; may be repeated")
+    _take_scene(chart)
     chart.add_argument("--budget", type=_positive, default=300.0, metavar="SECONDS",
                        help="points that do not fit are passed over (default: 300)")
     chart.add_argument("--out", metavar="DIR", help="folder of the chart, new or empty (default: under renders/)")

@@ -272,7 +272,7 @@ def viscous_share(run: Reduced) -> float:
     """
     scene = run.scene
     viscosity, density = scene.aqueous.viscosity_mpa_s * MPA_S, scene.aqueous.density_kg_m3
-    place, velocity = run._frames[:, :, :2], run._frames[:, :, 2:4]
+    place, velocity = run.frames[:, :, :2], run.frames[:, :, 2:4]
     edge, middle = np.diff(place, axis=1), 0.5 * (place[:, 1:] + place[:, :-1])
     rise = 0.5 * (velocity[:, 1:] + velocity[:, :-1])
     swept = np.cumsum(2.0 * np.pi * middle[..., 0] * (rise[..., 1] * edge[..., 0] - rise[..., 0] * edge[..., 1]), axis=1)

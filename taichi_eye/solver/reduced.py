@@ -27,7 +27,6 @@ from taichi_eye.solver.wall_stepper import (CLOSED, FIGURES, GREW, NOT_FINITE, P
 from taichi_eye.solver.workspace import capacity, reuse
 from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
 
-MODELS = ("membrane", "cavity", "layer", "added_mass")
 BULK_MODULUS = 2.2e9  # Pa, water
 STOPS = {
     CLOSED: ("the cornea reached the back of the chamber",
@@ -57,8 +56,9 @@ class _Liquid:
 class Reduced:
     """A scene under a reduced model.
 
-    scene: resolved; model: of MODELS; cloud: its `cloud_of` where there is one already. Public: cornea (fields), section,
-    cloud (None until a flow is asked for), traces (dict of arrays so far), steps, refreshes, duration of the run in samples.
+    scene: resolved; model: a rung, or "layer" (thin-layer flow, a pilot's); cloud: its `cloud_of` where there is one already. Public: cornea (fields), section,
+    cloud (None until a flow is asked for), traces (dict of arrays so far), steps, refreshes, samples of the whole run, frames [frame,
+    node, 7] as `WallStepper.advance` keeps them.
     """
 
     def __init__(self, scene, model: str, cloud: Cloud | None = None):
@@ -87,8 +87,8 @@ class Reduced:
         self._record[0, 0], self._record[0, 2] = self.section.apex_z, scene.eye.iop_mmhg * MMHG
         self._record[0, -1] = float(self.cornea.stress.to_numpy()[:self.wall_count - 1].min())
         count = min(scene.camera.frame_count, self.samples // self.samples_per_frame + 1)
-        self._frames = np.zeros((count, self.wall_count, 7))
-        self._frames[0, :, :2] = self.section.cornea_nodes(self.wall_count - 1)
+        self.frames = np.zeros((count, self.wall_count, 7))
+        self.frames[0, :, :2] = self.section.cornea_nodes(self.wall_count - 1)
         self.sample = self.reached = self.refreshes = 0
 
     def _place_at_rest(self) -> None:
@@ -127,8 +127,8 @@ class Reduced:
     @property
     def wall_mm(self) -> tuple[np.ndarray, np.ndarray]:
         """Times [ms] of the frames reached and the wall's places (r, z) there [mm], [frames, nodes, 2]."""
-        count = min(self.reached // self.samples_per_frame + 1, len(self._frames))
-        return np.arange(count) * self.scene.camera.frame_interval_ms, self._frames[:count, :, :2] / MM
+        count = min(self.reached // self.samples_per_frame + 1, len(self.frames))
+        return np.arange(count) * self.scene.camera.frame_interval_ms, self.frames[:count, :, :2] / MM
 
     def run(self, on_frame: Callable[["Reduced", int], None] | None = None,
             on_sample: Callable[["Reduced"], None] | None = None) -> dict[str, np.ndarray]:
@@ -141,7 +141,7 @@ class Reduced:
         if on_frame or on_sample:
             for frame in range(len(self.wall_mm[0])):
                 self.sample = frame * self.samples_per_frame
-                self.stepper.show(self._frames[frame])
+                self.stepper.show(self.frames[frame])
                 if on_sample:
                     on_sample(self)
                 if on_frame:
@@ -159,7 +159,7 @@ class Reduced:
                 self._refresh()
             self.reached = self.stepper.advance(
                 self._puff_table, self.reached, self.samples, self.sample_ms * MS, self.scene.numerics.cfl, far,
-                self._record, self.samples_per_frame, self._frames)
+                self._record, self.samples_per_frame, self.frames)
 
     def _refresh(self) -> None:
         """New flow maps for the present wall; their rate of change is that since the last ones."""
@@ -199,7 +199,7 @@ class Reduced:
         Potential flow under the wall's motion at that frame (see the head of this module).
         """
         flow, fields = self._flow(), self._liquid.aqueous
-        wall = self._frames[self.sample // self.samples_per_frame]
+        wall = self.frames[self.sample // self.samples_per_frame]
         place, velocity, acceleration = wall[:, :2], wall[:, 2:4], wall[:, 4:6]
         before, when = flow.flow, self._filmed_ms
         flow.refresh()

@@ -23,13 +23,12 @@ Time: leapfrog, the membrane's in-plane waves (and bending) set the step. A samp
 import taichi as ti
 
 from taichi_eye.backend import real
+from taichi_eye.solver import guards
 from taichi_eye.solver.cornea import Cornea
 
 SMOOTHINGS = 4  # of what is quadratic in the velocity
 PUFF_ROWS = 4  # of the puff's table per sample, linear in between
 RUNNING, SLACK, CLOSED, NOT_FINITE, GREW = range(5)
-CLOSED_SHARE = 0.1  # of the height at rest: the cornea is about to touch the back of the chamber
-ENERGY_SHARE, ENERGY_FLOOR = 0.1, 1e-10  # of the largest work, J: more energy than that came from nowhere
 FIGURES = ("apex_place", "apex_velocity", "pressure_apex", "volume_error", "puff_work", "cornea_elastic",
            "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic", "least_stress")
 
@@ -316,9 +315,9 @@ class WallStepper:
             self.status[None], self.place_of_failure[None] = NOT_FINITE, near
         elif least <= self.least_stress[None]:
             self.status[None], self.place_of_failure[None] = SLACK, slackest
-        elif room < CLOSED_SHARE:
+        elif room < guards.CLOSED:
             self.status[None], self.place_of_failure[None] = CLOSED, near
-        elif gained > ENERGY_SHARE * self.largest_work[None] + ENERGY_FLOOR:
+        elif gained > guards.ENERGY_SHARE * self.largest_work[None] + guards.ENERGY_FLOOR:
             self.status[None] = GREW
         figures = ti.Vector([
             self.cornea.place[0][1], self.cornea.velocity[0][1] + half * self.cornea.acceleration[0][1],
