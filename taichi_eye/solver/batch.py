@@ -22,10 +22,10 @@ from taichi_eye.cloud.packing import Cloud, pack
 from taichi_eye.errors import RunStopped, SceneError
 from taichi_eye.eye.puff import Puff, Puffs
 from taichi_eye.eye.section import Section
-from taichi_eye.eye.thickness import prestrain, thickness
 from taichi_eye.mfpm.operators import CONDITION_LIMIT
 from taichi_eye.scene import Scene
 from taichi_eye.solver import guards
+from taichi_eye.solver.rest import place_cornea
 from taichi_eye.solver.survey import QUANTITIES
 from taichi_eye.solver.timestep import StepLimits
 from taichi_eye.solver.workspace import borrow
@@ -112,14 +112,8 @@ class Batch:
 
     def _place_at_rest(self, eye: int) -> None:
         scene, cloud, first = self.scenes[eye], self.clouds[eye], int(self.first[eye])
-        cornea, numerics = scene.cornea, scene.numerics
-        nodes = cloud.section.cornea_nodes(cloud.wall_count - 1)
-        s = cornea.exponent_k / (1.0 + cornea.poisson_ratio)
-        middle = 0.5 * (nodes[1:, 0] + nodes[:-1, 0])
-        self.cornea.setup(nodes, thickness(scene, middle), cornea.density_kg_m3,
-                          (cornea.stiffness_a_pa, s, cornea.poisson_ratio, prestrain(scene, middle)),
-                          scene.eye.iop_mmhg * MMHG, self.puffs[eye].radial(nodes[:, 0]),
-                          cornea.flexural_modulus_mpa * 1e6, eye, first)
+        numerics = scene.numerics
+        nodes = place_cornea(self.cornea, scene, cloud.section, self.puffs[eye], cloud.wall_count - 1, eye, first)
         self.aqueous.setup(cloud, scene.aqueous.density_kg_m3, scene.aqueous.viscosity_mpa_s * MPA_S,
                            numerics.sound_speed_m_s, numerics.dissipation, numerics.wall_condition == "no_slip",
                            scene.chamber.sealed, scene.chamber.compliance_mm3_mmhg * MM3 / MMHG,

@@ -16,13 +16,13 @@ from taichi_eye.cloud.quality import measure
 from taichi_eye.errors import RunStopped
 from taichi_eye.eye.puff import Puff
 from taichi_eye.eye.section import Section
-from taichi_eye.eye.thickness import prestrain, thickness
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.batch import SAMPLE_MS
 from taichi_eye.solver.cornea import Cornea
 from taichi_eye.solver.guards import failing, least_stress
 from taichi_eye.solver.motion import Motion
 from taichi_eye.solver.potential import LayerFlow, PotentialFlow, ring_areas
+from taichi_eye.solver.rest import place_cornea
 from taichi_eye.solver.wall_stepper import (CLOSED, FIGURES, GREW, NOT_FINITE, PUFF_ROWS, RUNNING, SLACK, WallStepper)
 from taichi_eye.solver.workspace import capacity, reuse
 from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
@@ -93,12 +93,7 @@ class Reduced:
 
     def _place_at_rest(self) -> None:
         scene, cornea = self.scene, self.scene.cornea
-        nodes = self.section.cornea_nodes(self.wall_count - 1)
-        s = cornea.exponent_k / (1.0 + cornea.poisson_ratio)
-        middle = 0.5 * (nodes[1:, 0] + nodes[:-1, 0])
-        self.cornea.setup(nodes, thickness(scene, middle), cornea.density_kg_m3,
-                          (cornea.stiffness_a_pa, s, cornea.poisson_ratio, prestrain(scene, middle)),
-                          scene.eye.iop_mmhg * MMHG, self.puff.radial(nodes[:, 0]), cornea.flexural_modulus_mpa * 1e6)
+        nodes = place_cornea(self.cornea, scene, self.section, self.puff, self.wall_count - 1)
         volume = self.section.volume()
         compliance = scene.chamber.compliance_mm3_mmhg * MM3 / MMHG + volume / BULK_MODULUS
         thickest = max(cornea.thickness_mm, cornea.limbus_thickness_mm) * MM
