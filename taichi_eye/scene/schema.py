@@ -70,6 +70,9 @@ class Cornea:
                                      unit="mm", above=0, at_most=2)
     flexural_modulus_mpa: float = key(0.0, "Young's modulus of bending, D = E h^3 / (12 (1 - nu^2)); 0: a membrane",
                                       unit="MPa", at_least=0, at_most=100)
+    viscoelastic_share: float = key(0.0, "stress of a sudden stretch over that of a slow one, less 1 (g); 0: elastic", at_least=0,
+                                    at_most=20)
+    relaxation_ms: float = key(1.0, "time in which that overstress fades to 1/e (tau)", unit="ms", at_least=0.01, at_most=1e6)
     density_kg_m3: float = key(1050.0, "density of the tissue", unit="kg/m^3", at_least=100, at_most=10000)
     stiffness_a_pa: float = key(AUTO, "energy scale A; auto: 1562, or what k and the prestrain ask for",
                                 unit="Pa", above=0, at_most=1e9)

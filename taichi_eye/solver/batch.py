@@ -25,6 +25,7 @@ from taichi_eye.eye.section import Section
 from taichi_eye.mfpm.operators import CONDITION_LIMIT
 from taichi_eye.scene import Scene
 from taichi_eye.solver import guards
+from taichi_eye.solver.folding import Folding
 from taichi_eye.solver.rest import place_cornea
 from taichi_eye.solver.survey import QUANTITIES
 from taichi_eye.solver.timestep import StepLimits
@@ -162,7 +163,7 @@ class Batch:
             "chamber_volume_error": figures["volume_error"].copy(),
             **{f"{name}_uj": figures[name] * 1e6 for name in
                ("puff_work", "cornea_elastic", "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic", "viscous_loss",
-                "numerical_loss", "outflow_loss")},
+                "numerical_loss", "outflow_loss", "cornea_loss")},
             "energy_error_uj": (_stored(figures) + _lost(figures) - figures["puff_work"]) * 1e6,
             "coupling_iterations": figures["coupling_sweeps"].copy(),
             "coupling_residual": figures["coupling_residual"].copy(),
@@ -211,12 +212,22 @@ class Batch:
             self.survey.remember_build(due)
             self.rebuilds += due
 
+    def _lobes(self, eye: int, least: float) -> int | None:
+        """The lobes into which a shell folds now, asked at film frames once it is compressed enough."""
+        if self.sample % self.samples_per_frame[eye] or not guards.is_shell(self.scenes[eye]) or least > self._least_stress[eye]:
+            return None
+        wall = slice(self.first[eye], self.first[eye] + self.clouds[eye].wall_count)
+        inside, air = (field.to_numpy()[wall] for field in (self.aqueous.pressure, self.cornea.air_pressure))
+        nodes = self.clouds[eye].section.cornea_nodes(self.clouds[eye].wall_count - 1)
+        return Folding.from_scene(self.scenes[eye], nodes).lobes(
+            self.cornea.place.to_numpy()[wall], self.scenes[eye].eye.iop_mmhg * MMHG + inside - air)
+
     def _check(self, eye: int, gained: float) -> None:
         figures = self.figures(eye)
         try:
             guards.check(figures, float(gained), float(self._largest_work[eye]), self.scenes[eye],
                          lambda node: self._radius_mm(eye, node), float(self.sample * self.sample_ms[eye]),
-                         figures["viscous_loss"], figures["numerical_loss"])
+                         figures["viscous_loss"], figures["numerical_loss"], self._lobes(eye, figures["least_stress"]))
         except RunStopped as stop:
             # without its traceback, which would hold on to the fields
             self.stops[eye] = stop.with_traceback(None)
@@ -230,7 +241,7 @@ def _stored(figures):
 
 def _lost(figures):
     """Energy [J] lost or carried off since the start."""
-    return figures["viscous_loss"] + figures["numerical_loss"] + figures["outflow_loss"]
+    return figures["viscous_loss"] + figures["numerical_loss"] + figures["outflow_loss"] + figures["cornea_loss"]
 
 
 def run_batch(scenes: Sequence[Scene], progress: bool = False) -> list[Outcome]:

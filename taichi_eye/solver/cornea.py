@@ -22,6 +22,17 @@ curvature from rest are (phi_k - phi_k-1) / L at the nodes and (sin phi - sin ph
 W_b = D/2 (dk1^2 + dk2^2) per area, D = E h^3 / (12 (1 - nu^2)). Kirchhoff's mixed term, D nu dk1 dk2, is left out: its
 integral depends on the rim alone. The rim is a hinge.
 
+Relaxation, where the scene asks for it: quasi-linear viscoelasticity (Fung), one relaxation time. On the elastic stress S
+comes an overstress q, dq/dt = g dS/dt - q / tau: a sudden stretch meets 1 + g times the slow stiffness, a slow one none
+of it, and in between motion is damped, at most by tan(delta) = (g/2) / sqrt(1 + g) at a period of 2 pi tau sqrt(1 + g).
+Moments of bending carry the same. A step takes the exact answer to a stress that changes evenly over it,
+
+    q_n+1 = e^(-dt/tau) q_n + g (1 - e^(-dt/tau)) (tau/dt) (S_n+1 - S_n),
+
+so tau sets no limit to the step; only the waves are faster, by sqrt(1 + g). The work done against the overstress is summed
+by the trapezoidal rule and closes the energy balance; what of it has not yet become heat is not told apart. A dashpot
+alone (Kelvin-Voigt) would limit the step to L^2 rho / (2 eta), a fiftieth of the acoustic one for the damping wanted.
+
 Rest. The discrete sphere is in equilibrium with the IOP up to O(h^2); that remainder is computed once at the reference
 and subtracted as a dead load, so that a scene without a puff stays at rest to rounding.
 
@@ -62,17 +73,22 @@ class Cornea:
         self.prestrain, self.rest_angle = scalar(), scalar()
         self.flexure = vector()  # of the node at an element's start, and of the element [J]
         self.flexible = ti.field(ti.i32, eyes)
-        self.stress = vector()
+        self.inclination = vector()  # angle of each element, and its change from rest
+        self.moment = vector()  # as flexure
+        self.stress, self.strain = vector(), vector()
+        self.overstress, self.overmoment = vector(), vector()
+        self.relaxation, self.relaxed_work = ti.Vector.field(2, fp, eyes), ti.field(fp, eyes)  # g, tau [s]; work [J]
         self.material = ti.field(fp, (eyes, 3))  # A [Pa], s, nu
         self.iop, self.puff_work = ti.field(fp, eyes), ti.field(fp, eyes)
 
     def setup(self, nodes, thickness, density: float, material, iop: float, load_shape,
-              flexural_modulus: float = 0.0, eye: int = 0, first: int = 0) -> None:
+              flexural_modulus: float = 0.0, relaxation=(0.0, 1.0), eye: int = 0, first: int = 0) -> None:
         """Place the membrane of one eye at rest, its nodes from `first` on.
 
         nodes [n, 2] (m), apex first; thickness (m); density (kg/m^3); material (A in Pa, s, nu, eps0); iop (Pa);
         load_shape [n]: the puff's pressure at each node relative to its pressure on the axis; flexural_modulus (Pa):
-        Young's modulus of bending, 0 for a membrane. Thickness and eps0 may be one number or one per element, [n - 1].
+        Young's modulus of bending, 0 for a membrane; relaxation (g, tau in s). Thickness and eps0 may be one number or one per
+        element, [n - 1].
         """
         count = len(nodes)
         thickness = np.broadcast_to(np.asarray(thickness, dtype=float), count - 1)
@@ -98,17 +114,18 @@ class Cornea:
             flexure[:, 1] = rigidity * 2.0 * np.pi * length / radius
         angle = np.arctan2(-np.diff(nodes[:, 1]), np.diff(nodes[:, 0]))
         self._load(np.ascontiguousarray(nodes), density * ring, length, radius, volume, np.ascontiguousarray(eps0),
-                   flexure, angle, shape, *constants, iop, eye, first)
+                   flexure, angle, shape, *constants, iop, *relaxation, eye, first)
         self._store_rest_residual(eye)
 
     @ti.kernel
     def _load(self, nodes: ti.types.ndarray(), mass: ti.types.ndarray(), length: ti.types.ndarray(),
               radius: ti.types.ndarray(), volume: ti.types.ndarray(), prestrain: ti.types.ndarray(),
               flexure: ti.types.ndarray(), angle: ti.types.ndarray(), load_shape: ti.types.ndarray(),
-              stiffness: float, s: float, nu: float, iop: float, eye: int, first: int):
+              stiffness: float, s: float, nu: float, iop: float, share: float, time: float, eye: int, first: int):
         self.first[eye], self.last[eye] = first, first + nodes.shape[0] - 1
         self.material[eye, 0], self.material[eye, 1], self.material[eye, 2] = stiffness, s, nu
         self.iop[eye], self.puff_work[eye] = iop, 0.0
+        self.relaxation[eye], self.relaxed_work[eye] = ti.Vector([share, time]), 0.0
         for n in range(nodes.shape[0]):
             i = first + n
             zero = ti.Vector([0.0, 0.0])
@@ -122,6 +139,9 @@ class Cornea:
             self.element_length[k], self.element_radius[k] = length[n], radius[n]
             self.element_volume[k], self.prestrain[k] = volume[n], prestrain[n]
             self.flexure[k], self.rest_angle[k] = ti.Vector([flexure[n, 0], flexure[n, 1]]), angle[n]
+            self.inclination[k], self.strain[k] = ti.Vector([angle[n], 0.0]), ti.Vector([prestrain[n], prestrain[n]])
+            zero = ti.Vector([0.0, 0.0])
+            self.moment[k], self.overstress[k], self.overmoment[k] = zero, zero, zero
         self.flexible[eye] = ti.select(flexure[0, 1] > 0.0, 1, 0)
 
     @ti.func
@@ -158,49 +178,68 @@ class Cornea:
         return ti.Vector([0.5 * (lam1_squared - 1.0) + shift, 0.5 * (lam2 * lam2 - 1.0) + shift])
 
     @ti.func
-    def stretch_element(self, eye, k):
-        """Edge tension (N, along the edge, pulling node k outwards) and hoop force (N) of element k."""
-        stress, energy = self.stress_of(eye, self.strain_of(k), self.prestrain[k])
+    def deform(self, eye, dt):
+        """Tensions of all elements of an eye at its present places, dt [s] after the last ones; serial over the wall."""
+        first, last = self.first[eye], self.last[eye]
+        share, time = self.relaxation[eye][0], self.relaxation[eye][1]
+        # what is left of an overstress, and what of a change of stress is added
+        kept, gain = 1.0, 0.0
+        if share > 0.0 and dt > 0.0:
+            kept = ti.exp(-dt / time)
+            gain = share * (1.0 - kept) * time / dt
+        if self.flexible[eye] != 0:
+            before = ti.Vector([0.0, 0.0])  # turned by: now, and a step ago
+            for k in range(first, last):
+                edge, angle = self.place[k + 1] - self.place[k], self.inclination[k]
+                self.inclination[k][0] = ti.atan2(-edge[1], edge[0])
+                self.inclination[k][1] = self.inclination[k][0] - self.rest_angle[k]
+                turned = ti.Vector([self.inclination[k][1], angle[1]])
+                hoop = ti.Vector([ti.sin(self.inclination[k][0]), ti.sin(angle[0])])
+                bend = ti.Vector([turned[0] - before[0], hoop[0] - ti.sin(self.rest_angle[k])])
+                change = ti.Vector([bend[0] - (turned[1] - before[1]), hoop[0] - hoop[1]])
+                before = turned
+                over = kept * self.overmoment[k] + gain * self.flexure[k] * change
+                self.relaxed_work[eye] += 0.5 * (over + self.overmoment[k]).dot(change)
+                self.overmoment[k], self.moment[k] = over, self.flexure[k] * bend + over
+        for k in range(first, last):
+            self._stretch(eye, k, kept, gain)
+
+    @ti.func
+    def _stretch(self, eye, k, kept, gain):
+        # edge tension (N, along the edge, pulling node k outwards) and hoop force (N) of element k
+        strain, shift = self.strain_of(k), self.prestrain[k]
+        stress, energy = self.stress_of(eye, strain, shift)
+        if gain > 0.0:
+            change = stress - (self.stress[k] - self.overstress[k])
+            over = kept * self.overstress[k] + gain * change
+            self.relaxed_work[eye] += 0.5 * self.element_volume[k] * (over + self.overstress[k]).dot(strain - self.strain[k])
+            self.overstress[k] = over
+            stress += over
+        self.stress[k], self.strain[k] = stress, strain
         edge = self.place[k + 1] - self.place[k]
-        lam2 = self.hoop_stretch(k)
-        self.stress[k] = stress
         self.tension[k] = edge * (self.element_volume[k] * stress[0] / self.element_length[k] ** 2)
         if ti.static(self.planar):
             self.hoop[k] = 0.0
         else:
-            self.hoop[k] = self.element_volume[k] * stress[1] * lam2 * 0.5 / self.element_radius[k]
+            self.hoop[k] = self.element_volume[k] * stress[1] * self.hoop_stretch(k) * 0.5 / self.element_radius[k]
         if self.flexible[eye] != 0:
-            self.tension[k] += ti.Vector([edge[1], -edge[0]]) * (self.bending_torque(eye, k) / edge.norm_sqr())
-
-    @ti.func
-    def inclination(self, k):
-        """Slope angle of element k, downwards positive, and its change from rest."""
-        edge = self.place[k + 1] - self.place[k]
-        angle = ti.atan2(-edge[1], edge[0])
-        return angle, angle - self.rest_angle[k]
-
-    @ti.func
-    def bending_torque(self, eye, k):
-        """Derivative [J] of the bending energy with respect to the inclination of element k."""
-        angle, turned = self.inclination(k)
-        before = 0.0
-        if k > self.first[eye]:
-            before = self.inclination(k - 1)[1]
-        torque = self.flexure[k][0] * (turned - before)
-        if k + 1 < self.last[eye]:
-            torque -= self.flexure[k + 1][0] * (self.inclination(k + 1)[1] - turned)
-        return torque + self.flexure[k][1] * (ti.sin(angle) - ti.sin(self.rest_angle[k])) * ti.cos(angle)
+            # derivative of the bending energy with respect to the inclination [J]
+            torque = self.moment[k][0] + self.moment[k][1] * ti.cos(self.inclination[k][0])
+            if k + 1 < self.last[eye]:
+                torque -= self.moment[k + 1][0]
+            self.tension[k] += ti.Vector([edge[1], -edge[0]]) * (torque / edge.norm_sqr())
 
     @ti.func
     def bending_energy(self, eye):
-        """Energy of bending [J], zero at rest."""
+        """Energy of bending [J], zero at rest; that of the overmoments counts as `relaxed_work`."""
         energy = 0.0
         if self.flexible[eye] != 0:
             before = 0.0
             for k in range(self.first[eye], self.last[eye]):
-                angle, turned = self.inclination(k)
-                energy += 0.5 * self.flexure[k][0] * (turned - before) ** 2
-                energy += 0.5 * self.flexure[k][1] * (ti.sin(angle) - ti.sin(self.rest_angle[k])) ** 2
+                edge = self.place[k + 1] - self.place[k]
+                turned = ti.atan2(-edge[1], edge[0]) - self.rest_angle[k]
+                leant = -edge[1] / edge.norm() - ti.sin(self.rest_angle[k])
+                energy += 0.5 * (self.flexure[k][0] * (turned - before) ** 2 + self.flexure[k][1] * leant ** 2)
                 before = turned
         return energy
 
@@ -284,8 +323,8 @@ class Cornea:
     @ti.kernel
     def _store_rest_residual(self, eye: int):
         ti.loop_config(serialize=True)
-        for k in range(self.first[eye], self.last[eye]):
-            self.stretch_element(eye, k)
+        for once in range(1):
+            self.deform(eye, 0.0)
         ti.loop_config(serialize=True)
         for i in range(self.first[eye], self.last[eye] + 1):
             self.residual[i] = self.elastic_force(eye, i) + self.iop[eye] * self.volume_gradient(eye, i)
@@ -303,17 +342,27 @@ class Cornea:
 
     @ti.func
     def wave_speeds(self, eye, k):
-        """Stress S1, S2 [Pa] of element k and the speeds [m/s] of in-plane waves (by the meridian's tangent) and transverse ones."""
+        """Borne stress [Pa] of element k and the speeds [m/s] of in-plane waves (by the meridian's tangent) and transverse ones."""
         first = self.first[eye]
         strain = self.strain_of(k)
         stress, energy = self.stress_of(eye, strain, self.prestrain[k])
+        stress += self.overstress[k]
+        sudden = 1.0 + self.relaxation[eye][0]
         density = self.mass[first + 1] / (0.5 * (self.element_volume[first] + self.element_volume[first + 1]))
         s, nu = self.material[eye, 1], self.material[eye, 2]
         grown = 2.0 * s * (energy + self.material[eye, 0])
         slope = (1.0 - nu) * strain[0] + nu * (strain[0] + strain[1])
         stretch_squared = 2.0 * (strain[0] - self.prestrain[k]) + 1.0
-        stiffness = grown * (1.0 + 2.0 * s * slope * slope) * stretch_squared + stress[0]
-        return stress, ti.sqrt(ti.max(stiffness, 0.0) / density), ti.sqrt(ti.max(stress[0], 0.0) / density)
+        stiffness = sudden * grown * (1.0 + 2.0 * s * slope * slope) * stretch_squared + stress[0]
+        return self.borne_stress(eye, k), ti.sqrt(ti.max(stiffness, 0.0) / density), ti.sqrt(ti.max(stress[0], 0.0) / density)
+
+    @ti.func
+    def borne_stress(self, eye, k):
+        """S1, S2 [Pa] of element k that a guard judges; of a shell without the overstress, as is the stress that buckles it."""
+        stress = self.stress[k]
+        if self.flexible[eye] != 0:
+            stress -= self.overstress[k]
+        return stress
 
     @ti.func
     def kinetic_energy(self, eye):

@@ -125,8 +125,7 @@ class Coupling:
         end = first + self.aqueous.wall_count[eye]
         for i in range(first, end):
             self._start_step(eye, i, puff, dt)
-        for k in range(first, end - 1):
-            self.cornea.stretch_element(eye, k)
+        self.cornea.deform(eye, dt)
         work = 0.0
         for i in range(first, end):
             work += self._work_of_air(eye, i, dt)

@@ -5,9 +5,9 @@ tension the membrane has no transverse waves and any mesh-size ripple grows. Onl
 compressed than it was stretched at rest, or whose energy grew without work in the same sample, was torn by an
 instability: slackness grows from zero and the energy is balanced then.
 
-A shell (cornea.flexural_modulus_mpa) carries compression until it buckles. That is judged by the classical stress at which a
-sphere does, 2 sqrt(D E h) / (R h), with D its bending stiffness and E Young's modulus in its plane at rest: an axisymmetric
-model shows no other buckles, and what it computes beyond that stress would fold in life.
+A shell (cornea.flexural_modulus_mpa) carries compression until it folds. From the classical stress on at which a complete sphere
+does, 2 sqrt(D E h) / (R h), with D its bending stiffness and E Young's modulus in its plane at rest, every film frame's state is
+put to the question whether it is stable against lobes around the axis (`taichi_eye.solver.folding`).
 
 Energy. What is stored must not exceed the work of the puff, and not by much together with what the dissipation took: an
 unstable flow that the dissipation holds at a bounded level stores little and would pass on its stored energy alone (no
@@ -33,9 +33,9 @@ LIGHT = 0.3  # mass of the cornea over that of a layer of nodes below which the 
 
 
 def least_stress(scene) -> float:
-    """The principal stress [Pa] in the cornea's plane below which a run is stopped: 0 for a membrane, less for a shell."""
+    """The principal stress [Pa] in the cornea's plane below which it is judged: 0, where a membrane is slack, less for a shell."""
     cornea = scene.cornea
-    if cornea.flexural_modulus_mpa == 0.0:
+    if not is_shell(scene):
         return 0.0
     thickness, nu = cornea.thickness_mm * MM, cornea.poisson_ratio
     rigidity = cornea.flexural_modulus_mpa * 1e6 * thickness**3 / (12.0 * (1.0 - nu * nu))
@@ -44,11 +44,12 @@ def least_stress(scene) -> float:
 
 
 def check(figures: dict[str, float], energy_gain: float, largest_work: float, scene, radius_mm,
-          time_ms: float, viscous_loss: float = 0.0, numerical_loss: float = 0.0) -> None:
+          time_ms: float, viscous_loss: float = 0.0, numerical_loss: float = 0.0, lobes: int | None = None) -> None:
     """Raise RunStopped where the figures of a survey show a run that is no longer valid.
 
     energy_gain [J]: stored - work of the puff; largest_work [J]: the largest |work| so far; radius_mm(node): reference
-    radius of a node; viscous_loss, numerical_loss [J]: taken by viscosity and by the dissipation so far.
+    radius of a node; viscous_loss, numerical_loss [J]: taken by viscosity and by the dissipation so far;
+    lobes: into which a shell folds, None where it does not.
     """
     numerics = scene.numerics
     allowed = ENERGY_SHARE * largest_work + ENERGY_FLOOR
@@ -59,9 +60,10 @@ def check(figures: dict[str, float], energy_gain: float, largest_work: float, sc
     stress_at_rest = scene.eye.iop_mmhg * MMHG * scene.cornea.radius_mm / (2.0 * scene.cornea.thickness_mm)
     churned = CHURN_SHARE * largest_work + ENERGY_FLOOR
     grew = energy_gain > allowed or energy_gain + numerical_loss > churned
-    least, found = least_stress(scene), figures["least_stress"]
-    if found <= least and not (grew or found < least - stress_at_rest):
-        stop(*failing(scene, found), figures["slackest_element"])
+    found = figures["least_stress"]
+    failed = lobes is not None if is_shell(scene) else found <= 0.0
+    if failed and not (grew or found < least_stress(scene) - stress_at_rest and not is_shell(scene)):
+        stop(*failing(found, lobes), figures["slackest_element"])
     if figures["chamber_gap"] < CLOSED:
         stop("the cornea reached the back of the chamber", "Lower puff.peak_kpa, raise eye.iop_mmhg or chamber.depth_mm"
              + ("." if scene.chamber.sealed else ", or keep the fluid in: chamber.sealed = true."), figures["gap_node"])
@@ -74,7 +76,7 @@ def check(figures: dict[str, float], energy_gain: float, largest_work: float, sc
     unstable = _advice_unstable(scene)
     if figures["not_finite"] or energy_gain != energy_gain:
         stop("a value is not finite any more", unstable, max(figures["bad_node"], 0))
-    torn = found <= least
+    torn = failed
     unbalanced = energy_gain + viscous_loss > allowed
     # at the size of the spacing the dissipation takes more than viscosity: then the loss is an instability's
     smooth = viscous_loss > max(energy_gain, numerical_loss)
@@ -94,18 +96,22 @@ def check(figures: dict[str, float], energy_gain: float, largest_work: float, sc
                          "or use numerics.relaxation = \"aitken\".")
 
 
-def failing(scene, stress: float) -> tuple[str, str]:
-    """What a cornea under this principal stress [Pa] does, and what to change."""
-    least = least_stress(scene)
-    if least == 0.0:
+def is_shell(scene) -> bool:
+    """Whether the cornea resists bending, and so bears compression."""
+    return scene.cornea.flexural_modulus_mpa > 0.0
+
+
+def failing(stress: float, lobes: int | None) -> tuple[str, str]:
+    """What a cornea under this principal stress [Pa], or a shell that folds, does, and what to change."""
+    if lobes is None:
         return (f"the cornea went slack (smallest principal stress {stress / 1e3:.3g} kPa)",
                 "A membrane carries no compression: lower puff.peak_kpa, raise eye.iop_mmhg or cornea.prestrain.")
-    return (f"the cornea buckled (smallest principal stress {stress / 1e3:.3g} kPa, {least / 1e3:.3g} kPa are borne)",
+    return (f"the cornea folded into {lobes} lobes (smallest principal stress {stress / 1e3:.3g} kPa)",
             "Lower puff.peak_kpa, raise eye.iop_mmhg, cornea.prestrain or cornea.flexural_modulus_mpa.")
 
 
 def calm(figures, energy_gain, largest_work, condition_limit, least):
-    """Where `check` stops nothing: a bool for each of many eyes, whose figures, gains and works are arrays.
+    """Where `check` has nothing to look at: a bool for each of many eyes, whose figures, gains and works are arrays.
 
     least: their `least_stress`.
 

@@ -19,7 +19,8 @@ from taichi_eye.eye.section import Section
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.batch import SAMPLE_MS
 from taichi_eye.solver.cornea import Cornea
-from taichi_eye.solver.guards import failing, least_stress
+from taichi_eye.solver.folding import Folding
+from taichi_eye.solver.guards import failing, is_shell, least_stress
 from taichi_eye.solver.motion import Motion
 from taichi_eye.solver.potential import LayerFlow, PotentialFlow, ring_areas
 from taichi_eye.solver.rest import place_cornea
@@ -76,6 +77,7 @@ class Reduced:
         self.cornea, self.stepper = wall.cornea, wall.stepper
         self._liquid, self._layer = None, LayerFlow(self.cornea, self.section)
         self._neumann, self._refreshed_ms, self._filmed_ms = None, 0.0, 0.0
+        self._lobes: int | None = None
         self._place_at_rest()
         frame = scene.camera.frame_interval_ms
         self.samples_per_frame = max(1, math.ceil(frame / SAMPLE_MS - 1e-9))
@@ -98,11 +100,12 @@ class Reduced:
         compliance = scene.chamber.compliance_mm3_mmhg * MM3 / MMHG + volume / BULK_MODULUS
         thickest = max(cornea.thickness_mm, cornea.limbus_thickness_mm) * MM
         thinnest = min(cornea.thickness_mm, cornea.limbus_thickness_mm) * MM
-        rigidity = cornea.flexural_modulus_mpa * 1e6 * thickest**3 / (12.0 * (1.0 - cornea.poisson_ratio**2))
+        rigidity = (1.0 + cornea.viscoelastic_share) * cornea.flexural_modulus_mpa * 1e6 * thickest**3 / (
+            12.0 * (1.0 - cornea.poisson_ratio**2))
         bending = 0.5 * math.sqrt(cornea.density_kg_m3 * thinnest / rigidity) if rigidity > 0.0 else math.inf
         self.stepper.setup(self.section.back_height(nodes[:, 0]), volume, compliance,
                            scene.chamber.sealed and self.model != "membrane", scene.aqueous.density_kg_m3, bending,
-                           least_stress(scene))
+                           -math.inf if is_shell(scene) else 0.0)
 
     @property
     def time_ms(self) -> float:
@@ -117,7 +120,7 @@ class Reduced:
     @property
     def out_of_validity(self) -> bool:
         """Whether the run was stopped by what the model is not made for, and not by the numerics."""
-        return int(self.stepper.status[None]) in (SLACK, CLOSED)
+        return self._lobes is not None or int(self.stepper.status[None]) in (SLACK, CLOSED)
 
     @property
     def wall_mm(self) -> tuple[np.ndarray, np.ndarray]:
@@ -155,6 +158,21 @@ class Reduced:
             self.reached = self.stepper.advance(
                 self._puff_table, self.reached, self.samples, self.sample_ms * MS, self.scene.numerics.cfl, far,
                 self._record, self.samples_per_frame, self.frames)
+        if is_shell(self.scene) and self._lobes is None:
+            self._unfold()
+
+    def _unfold(self) -> None:
+        """End a shell's run at the first frame that folds (`taichi_eye.solver.guards`)."""
+        nodes, iop = self.section.cornea_nodes(self.wall_count - 1), self.scene.eye.iop_mmhg * MMHG
+        folding, shape, limit = Folding.from_scene(self.scene, nodes), self.puff.radial(nodes[:, 0]), least_stress(self.scene)
+        for frame in range(len(self.wall_mm[0])):
+            sample = frame * self.samples_per_frame
+            if self._record[sample, FIGURES.index("least_stress")] <= limit:
+                air = self.puff.pressure_at_apex(sample * self.sample_ms * MS) * shape
+                self._lobes = folding.lobes(self.frames[frame, :, :2], iop + self.frames[frame, :, 6] - air)
+                if self._lobes is not None:
+                    self.reached = sample
+                    return
 
     def _refresh(self) -> None:
         """New flow maps for the present wall; their rate of change is that since the last ones."""
@@ -226,13 +244,14 @@ class Reduced:
 
     def _check(self) -> None:
         status = int(self.stepper.status[None])
-        if status == RUNNING:
+        if self._lobes is None and status == RUNNING:
             return
-        what, advice = (failing(self.scene, self._record[self.reached, FIGURES.index("least_stress")]) if status == SLACK
-                        else STOPS[status])
-        node = int(self.stepper.place_of_failure[None])
-        radius = self.section.cornea_nodes(self.wall_count - 1)[node, 0] / MM
-        raise RunStopped(what, f"at r = {radius:.2f} mm", self.time_ms, advice)
+        nodes = self.section.cornea_nodes(self.wall_count - 1)
+        radius = nodes[int(self.stepper.place_of_failure[None]), 0]
+        if self._lobes is not None:
+            radius = Folding.from_scene(self.scene, nodes).ring(self.frames[self.reached // self.samples_per_frame, :, :2])
+        what, advice = STOPS.get(status) or failing(self._record[self.reached, FIGURES.index("least_stress")], self._lobes)
+        raise RunStopped(what, f"at r = {radius / MM:.2f} mm", self.time_ms, advice)
 
     @property
     def traces(self) -> dict[str, np.ndarray]:
@@ -241,7 +260,8 @@ class Reduced:
         time_ms = np.arange(self.sample + 1) * self.sample_ms
         energies = {f"{name}_uj": taken[name] * 1e6 for name in ("puff_work", "cornea_elastic", "cornea_kinetic",
                                                                 "aqueous_kinetic", "aqueous_elastic")}
-        stored = sum(column for name, column in energies.items() if name != "puff_work_uj")
+        energies["cornea_loss_uj"] = taken["cornea_loss"] * 1e6
+        spent = sum(column for name, column in energies.items() if name != "puff_work_uj")
         nothing = np.zeros(self.sample + 1)
         return {
             "time_ms": time_ms,
@@ -252,7 +272,7 @@ class Reduced:
             "chamber_volume_error": taken["volume_error"],
             **energies,
             **{name: nothing for name in ("viscous_loss_uj", "numerical_loss_uj", "outflow_loss_uj")},
-            "energy_error_uj": stored - energies["puff_work_uj"],
+            "energy_error_uj": spent - energies["puff_work_uj"],
             "coupling_iterations": nothing, "coupling_residual": nothing,
             "cornea_min_stress_kpa": taken["least_stress"] * 1e-3,
         }

@@ -16,6 +16,7 @@ from taichi_eye.solver.coupling import Coupling
 QUANTITIES = (
     "apex_place", "apex_velocity", "fluid_pressure_apex", "volume_error", "puff_work", "cornea_elastic",
     "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic", "viscous_loss", "numerical_loss", "outflow_loss",
+    "cornea_loss",
     "least_stress", "slackest_element", "membrane_speed", "transverse_speed", "membrane_step", "smallest_gap",
     "flattest_triangle", "flat_node", "pair_weight", "worst_condition", "ill_node", "chamber_gap", "gap_node",
     "not_finite", "bad_node", "wall_travel", "coupling_sweeps", "coupling_residual", "coupling_status")
@@ -133,7 +134,7 @@ class Survey:
             self.cornea.puff_work[eye],
             self.cornea.elastic_energy(eye) - self.rest_energy[eye], self.cornea.kinetic_energy(eye), kinetic,
             elastic + self.cornea.iop[eye] * (rest_volume - volume) + 0.5 * (yielded - spared * mean) * mean,
-            viscous, numerical, carried, least, slackest - first, in_plane, transverse, step, ti.sqrt(gap),
+            viscous, numerical, carried, self.cornea.relaxed_work[eye], least, slackest - first, in_plane, transverse, step, ti.sqrt(gap),
             flattest, flat - first, heaviest, worst, ill - first, room, near - first, ti.select(bad >= 0, 1.0, 0.0), ti.max(bad - first, -1), travel,
             self.coupling.sweeps[eye], self.coupling.worst_residual[eye], self.coupling.status[eye]))
         for q in ti.static(range(len(QUANTITIES))):

@@ -41,7 +41,8 @@ class StepLimits:
         c, alpha, spacing = numerics.sound_speed_m_s, numerics.dissipation, numerics.spacing_mm
         wall_mass = cornea.density_kg_m3 * min(cornea.thickness_mm, cornea.limbus_thickness_mm) * 1e-3
         thickest = max(cornea.thickness_mm, cornea.limbus_thickness_mm) * 1e-3
-        rigidity = cornea.flexural_modulus_mpa * 1e6 * thickest**3 / (12.0 * (1.0 - cornea.poisson_ratio**2))
+        rigidity = (1.0 + cornea.viscoelastic_share) * cornea.flexural_modulus_mpa * 1e6 * thickest**3 / (
+            12.0 * (1.0 - cornea.poisson_ratio**2))
         return (c, 0.72 * alpha * spacing * 1e-3, alpha * c * spacing * 1e-3, 4.0 * (scene.aqueous.viscosity_mpa_s * 1e-3),
                 math.sqrt(wall_mass / rigidity) if rigidity > 0.0 else math.inf, wall_mass,
                 scene.aqueous.density_kg_m3, StepLimits._volume_limit(scene, wall_mass), numerics.cfl)

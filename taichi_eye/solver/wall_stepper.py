@@ -30,7 +30,7 @@ SMOOTHINGS = 4  # of what is quadratic in the velocity
 PUFF_ROWS = 4  # of the puff's table per sample, linear in between
 RUNNING, SLACK, CLOSED, NOT_FINITE, GREW = range(5)
 FIGURES = ("apex_place", "apex_velocity", "pressure_apex", "volume_error", "puff_work", "cornea_elastic",
-           "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic", "least_stress")
+           "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic", "cornea_loss", "least_stress")
 
 
 @ti.data_oriented
@@ -112,11 +112,10 @@ class WallStepper:
         return volume + self.rest_volume[None] - self.rest_enclosed[None]
 
     @ti.func
-    def _collect(self, puff):
+    def _collect(self, puff, dt):
         """Forces on the rings at the present place, without the liquid's excess pressure."""
         count = self.cornea.last[0]
-        for k in range(count):
-            self.cornea.stretch_element(0, k)
+        self.cornea.deform(0, dt)
         work = 0.0
         for i in range(count):
             self.cornea.air_pressure[i] = puff * self.cornea.load_shape[i]
@@ -191,7 +190,7 @@ class WallStepper:
     @ti.func
     def _step(self, puff, dt, kick, dt_before):
         count = self.cornea.last[0]
-        self._collect(puff)
+        self._collect(puff, dt_before)
         if ti.static(self.flowing):
             self._flow_pressure(dt_before)
         reach, swing = dt * kick, 0.0
@@ -285,7 +284,7 @@ class WallStepper:
         room, near = ti.math.inf, 0
         kinetic, swept, work = 0.0, 0.0, self.cornea.puff_work[0]
         for i in range(count):
-            stress = self.cornea.stress[i]
+            stress = self.cornea.borne_stress(0, i)
             if ti.min(stress[0], stress[1]) < least:
                 least, slackest = ti.min(stress[0], stress[1]), i
             above = (self.cornea.place[i][1] - self.back[i]) / (self.cornea.rest[i][1] - self.back[i])
@@ -322,7 +321,7 @@ class WallStepper:
         figures = ti.Vector([
             self.cornea.place[0][1], self.cornea.velocity[0][1] + half * self.cornea.acceleration[0][1],
             self.cornea.iop[0] + self.pressure[0], volume / self.rest_volume[None] - 1.0,
-            work, elastic, kinetic, swept, stored, least])
+            work, elastic, kinetic, swept, stored, self.cornea.relaxed_work[0], least])
         for q in ti.static(range(len(FIGURES))):
             record[row, q] = figures[q]
 

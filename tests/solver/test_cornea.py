@@ -41,8 +41,9 @@ class Membrane:
 
     @ti.kernel
     def _elastic_forces(self):
-        for k in range(self.cornea.last[0]):
-            self.cornea.stretch_element(0, k)
+        ti.loop_config(serialize=True)
+        for once in range(1):
+            self.cornea.deform(0, 0.0)
         for i in range(self.cornea.last[0] + 1):
             self.out[i] = self.cornea.elastic_force(0, i)
 
@@ -79,8 +80,7 @@ class Membrane:
             last = self.cornea.last[0]
             for i in range(last + 1):
                 self.cornea.predict(0, i, dt)
-            for k in range(last):
-                self.cornea.stretch_element(0, k)
+            self.cornea.deform(0, dt)
             for i in range(last + 1):
                 self.cornea.collect_forces(0, i)
                 force = self.cornea.force_solid[i] + self.cornea.force_air[i]

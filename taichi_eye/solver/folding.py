@@ -1,0 +1,155 @@
+"""Whether a shell's axisymmetric dent would fold: stability against perturbations with m lobes around the axis.
+
+The model computes axisymmetric states; a shell under hoop compression may leave them. Perturbed places are
+x + (rho cos m phi, tau sin m phi, zeta cos m phi) in (r, phi, z), from a state x(s). To second order in the amplitudes,
+with S' = d/dS along the meridian at rest, R0 the radius at rest and all cos^2, sin^2 averaged, the energy over pi is
+
+    sum h 2 R0 L / 2 [ C_ij dE_i dE_j + C66 gamma^2 + S1 (rho'^2 + tau'^2 + zeta'^2)
+                       + S2 ((m rho + tau)^2 + (rho + m tau)^2 + m^2 zeta^2) / R0^2 ]                         membrane
+  + D/2 [ k_s^2 + k_phi^2 + 2 nu k_s k_phi + 2 (1 - nu) k_sphi^2 ]  of w, the part along the normal            bending
+  - p/2 (dx . dN)                                                                                        follower pressure
+
+    dE_1 = r' rho' + z' zeta',  dE_2 = r (rho + m tau) / R0^2,  gamma = (r tau' - r' (m rho + tau) - m z' zeta) / R0,
+    C_ij = dS_i/dE_j,  C66 = A s (1 - nu) e^Q  (the law of `taichi_eye.eye.tissue` with its shear),
+    k_s = -w'',  k_phi = m^2 w / r^2 - r' w' / r,  k_sphi = m (w' / r - r' w / r^2).
+
+The state is stable where this form is positive definite for every m from 2 on. The chamber's volume does not change to first
+order in the amplitude, so its stiffness does not help, and the liquid's inertia only slows what grows. Overstress of a relaxing
+tissue is left out: it fades. Rim and apex are held.
+
+A complete sphere under outer pressure folds at 2 E (h/R)^2 / sqrt(3 (1 - nu^2)), the classical value: found to 2.5 %
+(tests/solver/test_folding.py). A dent is another matter: compression is confined to the ring around it, with tension on both sides
+and the liquid's pressure behind it, and bears 2 to 2.2 times the classical stress 2 sqrt(D E h) / (R h) before it folds into 5 to 7
+lobes (shells as thin in bending as `configs/corvis_healthy.toml`'s). So the classical stress is where looking begins.
+"""
+import numpy as np
+
+from taichi_eye.eye.thickness import prestrain, thickness
+
+LOBES = tuple(range(2, 17))
+
+
+def tangent(e1, e2, a, s, nu):
+    """Stresses S1, S2 and tangents C11, C12, C22, C66 [Pa] at the strains e_i = E_i + eps0; see `taichi_eye.eye.tissue`."""
+    total = e1 + e2
+    b1, b2 = (1.0 - nu) * e1 + nu * total, (1.0 - nu) * e2 + nu * total
+    f = 2.0 * a * s * np.exp(s * ((1.0 - nu) * (e1 * e1 + e2 * e2) + nu * total * total))
+    return (f * b1, f * b2, f * (1.0 + 2.0 * s * b1 * b1), f * (nu + 2.0 * s * b1 * b2), f * (1.0 + 2.0 * s * b2 * b2),
+            0.5 * f * (1.0 - nu))
+
+
+class Folding:
+    """The stability of one cornea's states.
+
+    rest [n + 1, 2] (m): nodes, apex first; thickness (m), prestrain, rigidity D (N m): numbers or per element [n]; tissue: A (Pa), s
+    and nu.
+    """
+
+    def __init__(self, rest, thickness, tissue, prestrain, rigidity):
+        self.rest, (self.a, self.s, self.nu) = np.asarray(rest), tissue
+        n = len(self.rest) - 1
+        self.thickness, self.prestrain, self.rigidity = (np.broadcast_to(np.asarray(v, dtype=float), n)
+                                                         for v in (thickness, prestrain, rigidity))
+        self.length = np.linalg.norm(np.diff(self.rest, axis=0), axis=1)
+        self.radius = 0.5 * (self.rest[1:, 0] + self.rest[:-1, 0])
+        # an element's mean of rho, tau, zeta and their derivatives, from its six nodal values
+        self.mean = np.zeros((n, 3, 6))
+        self.slope = np.zeros((n, 3, 6))
+        for c in range(3):
+            self.mean[:, c, c] = self.mean[:, c, 3 + c] = 0.5
+            self.slope[:, c, c], self.slope[:, c, 3 + c] = -1.0 / self.length, 1.0 / self.length
+        self.dofs = 3 * np.arange(n)[:, None] + np.arange(6)
+
+    @classmethod
+    def from_scene(cls, scene, rest) -> "Folding":
+        """That of a resolved scene's cornea with the nodes `rest` [n + 1, 2] (m)."""
+        cornea, middle = scene.cornea, 0.5 * (rest[1:, 0] + rest[:-1, 0])
+        nu, thick = cornea.poisson_ratio, thickness(scene, middle)
+        return cls(rest, thick, (cornea.stiffness_a_pa, cornea.exponent_k / (1.0 + nu), nu), prestrain(scene, middle),
+                   cornea.flexural_modulus_mpa * 1e6 * thick**3 / (12.0 * (1.0 - nu * nu)))
+
+    def lobes(self, place, pressure, lobes=LOBES) -> int | None:
+        """The number of lobes into which the state folds, None where it is stable.
+
+        place [n + 1, 2] (m); pressure [n + 1] (Pa): net, outwards, on each node's ring.
+        """
+        for m in lobes:
+            try:
+                np.linalg.cholesky(self.form(place, pressure, m))
+            except np.linalg.LinAlgError:
+                return m
+        return None
+
+    def ring(self, place) -> float:
+        """Radius at rest [m] of the most compressed element."""
+        r = 0.5 * (place[1:, 0] + place[:-1, 0])
+        along = np.linalg.norm(np.diff(place, axis=0), axis=1) / self.length
+        strains = (0.5 * (stretch**2 - 1.0) + self.prestrain for stretch in (along, r / self.radius))
+        s1, s2, *_ = tangent(*strains, self.a, self.s, self.nu)
+        return float(self.radius[np.minimum(s1, s2).argmin()])
+
+    def form(self, place, pressure, m: int) -> np.ndarray:
+        """The quadratic form [J/m^2 over pi/2] of the free nodes, (rho, tau, zeta) node by node; symmetric."""
+        n = len(self.length)
+        whole = np.zeros((3 * (n + 1), 3 * (n + 1)))
+        parts = self._membrane(place, m) - self._follower(place, pressure, m)
+        np.add.at(whole, (self.dofs[:, :, None], self.dofs[:, None, :]), parts)
+        whole += self._bending(place, m)
+        free = slice(3, 3 * n)
+        return whole[free, free]
+
+    def _terms(self, place, m):
+        shift = np.diff(place, axis=0) / self.length[:, None]
+        return shift[:, 0, None], shift[:, 1, None], 0.5 * (place[1:, 0] + place[:-1, 0])[:, None], self.mean.swapaxes(0, 1)
+
+    def _membrane(self, place, m):
+        rp, zp, r, (rho, tau, zeta) = self._terms(place, m)
+        drho, dtau, dzeta = self.slope.swapaxes(0, 1)
+        r0 = self.radius[:, None]
+        e1 = 0.5 * ((rp**2 + zp**2)[:, 0] - 1.0) + self.prestrain
+        e2 = 0.5 * ((r / r0)[:, 0] ** 2 - 1.0) + self.prestrain
+        s1, s2, c11, c12, c22, c66 = tangent(e1, e2, self.a, self.s, self.nu)
+        along, hoop = rp * drho + zp * dzeta, r / r0**2 * (rho + m * tau)
+        shear = (r * dtau - rp * (m * rho + tau) - m * zp * zeta) / r0
+        turned = [(m * rho + tau) / r0, (rho + m * tau) / r0, m * zeta / r0]
+        weight = 2.0 * self.thickness * self.radius * self.length
+        total = _sum(c11, along, along) + _sum(c22, hoop, hoop) + _sum(c66, shear, shear)
+        total += _sum(c12, along, hoop) + _sum(c12, hoop, along)
+        for vector in (drho, dtau, dzeta):
+            total += _sum(s1, vector, vector)
+        for vector in turned:
+            total += _sum(s2, vector, vector)
+        return weight[:, None, None] * total
+
+    def _follower(self, place, pressure, m):
+        # dx . dN, N = x_S x x_phi, symmetrised
+        rp, zp, r, (rho, tau, zeta) = self._terms(place, m)
+        drho, _, dzeta = self.slope.swapaxes(0, 1)
+        weight = (pressure[1:] + pressure[:-1]) * self.length
+        total = _sum(weight, rho, -r * dzeta - zp * (rho + m * tau))
+        total += _sum(weight, tau, m * rp * zeta - zp * (m * rho + tau))
+        total += _sum(weight, zeta, r * drho + rp * (rho + m * tau))
+        return 0.5 * (total + total.swapaxes(1, 2))
+
+    def _bending(self, place, m):
+        n, nu = len(self.length), self.nu
+        step = np.linalg.norm(np.diff(place, axis=0), axis=1)
+        before, after = step[:-1, None], step[1:, None]
+        chord = place[2:] - place[:-2]
+        normal = np.zeros((n + 1, 3 * (n + 1)))
+        inner = np.arange(1, n)
+        size = np.linalg.norm(chord, axis=1)
+        normal[inner, 3 * inner], normal[inner, 3 * inner + 2] = -chord[:, 1] / size, chord[:, 0] / size
+        r, here = place[1:-1, 0, None], normal[1:-1]
+        rise = chord[:, 0, None] / (before + after)
+        first = (normal[2:] - normal[:-2]) / (before + after)
+        second = 2.0 * ((normal[2:] - here) / after - (here - normal[:-2]) / before) / (before + after)
+        along, hoop, twist = -second, m * m * here / r**2 - rise * first / r, m * (first / r - rise * here / r**2)
+        weight = (0.5 * (self.rigidity[1:] + self.rigidity[:-1]) * place[1:-1, 0] * (before + after)[:, 0])[:, None]
+        total = (along * weight).T @ along + (hoop * weight).T @ hoop + 2.0 * (1.0 - nu) * (twist * weight).T @ twist
+        mixed = nu * (along * weight).T @ hoop
+        return total + mixed + mixed.T
+
+
+def _sum(weight, a, b):
+    return weight[:, None, None] * a[:, :, None] * b[:, None, :]

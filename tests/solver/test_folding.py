@@ -1,0 +1,92 @@
+"""Stability against lobes around the axis, against the classical buckling of a sphere and the exact invariances."""
+import numpy as np
+import pytest
+
+from taichi_eye.errors import RunStopped
+from taichi_eye.scene import load_scene
+from taichi_eye.solver.folding import LOBES, Folding, tangent
+from taichi_eye.solver.reduced import Reduced
+from taichi_eye.solver.simulation import Simulation
+
+RADIUS, NU, YOUNG = 7.8e-3, 0.3, 1e6
+S = 1e-6  # exponent so small that the law is linear elasticity
+
+
+def shell(thickness, elements=60, reach=0.5 * np.pi, strain=0.0):
+    angle = np.linspace(0.0, reach, elements + 1)
+    nodes = RADIUS * np.column_stack([np.sin(angle), np.cos(angle)])
+    a = YOUNG / (1.0 - NU**2) / (2.0 * S)
+    rigidity = YOUNG * thickness**3 / (12.0 * (1.0 - NU**2))
+    return Folding(nodes, thickness, (a, S, NU), strain, rigidity), nodes
+
+
+@pytest.mark.parametrize("thickness", [0.2e-3, 0.3e-3, 0.45e-3])
+def test_a_sphere_folds_at_the_classical_pressure(thickness):
+    critical = 2.0 * YOUNG * (thickness / RADIUS) ** 2 / np.sqrt(3.0 * (1.0 - NU**2))
+    for share, stable in ((0.95, True), (1.05, False)):
+        strain = -share * critical * RADIUS / (2.0 * thickness) * (1.0 - NU) / YOUNG
+        folding, nodes = shell(thickness, strain=strain)
+        assert (folding.lobes(nodes, np.full(len(nodes), -share * critical)) is None) == stable
+
+
+def test_pressure_from_within_bears_any_tension():
+    folding, nodes = shell(0.3e-3, strain=0.004)
+    pressure = 2.0 * 0.3e-3 / RADIUS * tangent(0.004, 0.004, folding.a, S, NU)[0]
+    assert folding.lobes(nodes, np.full(len(nodes), pressure)) is None
+
+
+@pytest.mark.parametrize("m", [LOBES[0], 7])
+def test_form_is_the_second_difference_of_the_membrane_energy(m):
+    rng = np.random.default_rng(11)
+    folding, nodes = shell(0.3e-3, elements=12, reach=0.9, strain=0.01)
+    folding.rigidity = np.zeros(12)
+    place = nodes * (1.0 + 0.01 * rng.normal(size=nodes.shape))
+    place[0, 0] = 0.0
+    shift = np.zeros((13, 3))
+    shift[1:-1] = 1e-6 * rng.normal(size=(11, 3))
+    form = folding.form(place, np.zeros(13), m)
+    vector = shift[1:-1].ravel()
+    up, here, down = (energy(folding, place, sign * shift, m) for sign in (1.0, 0.0, -1.0))
+    # over the circle cos^2 averages to half: the form counts pi of it
+    assert up - 2.0 * here + down == pytest.approx(np.pi * vector @ form @ vector / 2.0, rel=1e-4)
+
+
+def energy(folding, place, shift, m, samples=96):
+    """Membrane energy [J] of the perturbed surface, integrated around the axis."""
+    total = 0.0
+    angles = 2.0 * np.pi * (np.arange(samples) + 0.5) / samples
+    for phi in angles:
+        c, s = np.cos(m * phi), np.sin(m * phi)
+        r, t, z = place[:, 0] + shift[:, 0] * c, shift[:, 1] * s, place[:, 1] + shift[:, 2] * c
+        rp, tp, zp = (-m * shift[:, 0] * s, m * shift[:, 1] * c, -m * shift[:, 2] * s)
+        along = np.array([np.diff(v) / folding.length for v in (r, t, z)])
+        mean = lambda v: 0.5 * (v[1:] + v[:-1])  # noqa: E731
+        around = np.array([mean(rp - t), mean(r + tp), mean(zp)]) / folding.radius
+        e1, e2 = 0.5 * ((along**2).sum(0) - 1.0) + folding.prestrain, 0.5 * ((around**2).sum(0) - 1.0) + folding.prestrain
+        shear = 0.5 * (along * around).sum(0)
+        exponent = folding.s * ((1.0 - NU) * (e1**2 + e2**2 + 2.0 * shear**2) + NU * (e1 + e2) ** 2)
+        total += (folding.thickness * folding.radius * folding.length * folding.a * np.expm1(exponent)).sum()
+    return total * 2.0 * np.pi / samples
+
+
+THIN_IN_BENDING = ("cornea.stiffness_a_pa=220000", "cornea.flexural_modulus_mpa=0.016", "numerics.spacing_mm=0.2",
+                   "numerics.sound_speed_m_s=20", "numerics.duration_ms=15", "cornea.viscoelastic_share=0.5",
+                   "cornea.relaxation_ms=0.4", "chamber.compliance_mm3_mmhg=0.15", "puff.peak_kpa=12.85")
+
+
+@pytest.mark.parametrize("make", [lambda scene: Reduced(scene, "cavity"), Simulation])
+def test_a_shell_too_thin_in_bending_folds_and_is_stopped_there(make):
+    eye = make(load_scene(None, THIN_IN_BENDING))
+    with pytest.raises(RunStopped) as stopped:
+        eye.run()
+    assert "lobes" in stopped.value.what and 8.0 < stopped.value.time_ms < 14.0
+    # the ring around the dent
+    assert 1.0 < float(stopped.value.where.split("=")[1].split()[0]) < 3.0
+    times = eye.traces["time_ms"]
+    assert times[-1] <= stopped.value.time_ms and np.isfinite(eye.traces["apex_displacement_mm"]).all()
+
+
+def test_a_shell_four_times_as_stiff_in_bending_does_not():
+    thick = [*THIN_IN_BENDING, "cornea.stiffness_a_pa=110000", "cornea.flexural_modulus_mpa=0.065"]
+    traces = Reduced(load_scene(None, thick), "cavity").run()
+    assert traces["apex_displacement_mm"].max() > 0.3 and traces["cornea_min_stress_kpa"].min() < -30.0
