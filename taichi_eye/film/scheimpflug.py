@@ -20,11 +20,10 @@ from math import erf, exp, sqrt
 import numpy as np
 import taichi as ti
 
-from taichi_eye.backend import real
-
 from .glyphs import GlyphAtlas, stamp
 from .noise import gaussian_table, noise_key, hash_u32
 from .state import FrameState
+from .strips import Strips
 from .surface import Surface
 
 AIR = 6.5
@@ -56,6 +55,9 @@ class Scheimpflug:
     """Renders frames of shape [height_px, width_px], uint8.
 
     One `Surface` may be shared with another view, which then need not be updated twice for the same frame.
+
+    A column is drawn from the top down: air, the cornea with its blur, the chamber, and from the row on where iris or lens
+    show, those. Air and chamber are one level each, so their noise is a table of grey levels.
     """
 
     def __init__(self, scene, surface: Surface | None = None):
@@ -66,21 +68,27 @@ class Scheimpflug:
         self.apex_row, self.apex_column = float(camera.apex_row_px), float(camera.apex_column_px)
         self.apex_rest = self.surface.apex_rest
         self.plain = camera.optics == "plain"
-        self.epithelium, self.stroma = float(camera.epithelium), float(camera.stroma)
-        self.iris, self.lens, self.fall_off = float(camera.iris), float(camera.lens), float(camera.fall_off)
-        self.specks, self.noise, self.seed = camera.specks, camera.noise, camera.seed
+        self.iris, self.lens = float(camera.iris), float(camera.lens)
+        self.specks, self.seed = camera.specks, camera.seed
         self.interval_ms = camera.frame_interval_ms
         self.atlas = GlyphAtlas(max(8, round(0.065 * self.height))) if camera.stamp else None
 
         edge, posterior, line_stroma = edge_profiles()
-        self.line_stroma = line_stroma
         objects = scenery()
-        self.edge = ti.Vector.field(2, real(), len(edge))
-        self.posterior = ti.field(real(), len(posterior))
-        self.column = ti.Vector.field(5, real(), self.width)
-        self.scenery = ti.Vector.field(2, real(), objects.shape[:2])
-        self.quantile = ti.field(real(), len(gaussian_table()))
-        self._load(edge, posterior, objects, gaussian_table())
+        quantile = gaussian_table() * camera.noise
+        self.edge = ti.Vector.field(2, ti.f32, len(edge))
+        self.posterior = ti.field(ti.f32, len(posterior))
+        self.light = ti.Vector.field(2, ti.f32, self.width)       # on stroma and line
+        self.scenery = ti.Vector.field(2, ti.f32, objects.shape[:2])
+        self.quantile = ti.field(ti.f32, len(quantile))
+        self.even = ti.Vector.field(2, ti.u8, len(quantile))      # air and chamber, by quantile
+        self.mixed = ti.field(ti.u32, (self.width, self.height))
+        # light from behind the cornea on the surface's radii, and the row from which on there is any
+        self.behind = ti.field(ti.f32, (self.surface.columns, self.height))
+        self.behind_from = ti.field(ti.i32, self.surface.columns)
+        self.across, self.out = Strips(self.width), Strips(self.surface.columns)
+        self._load(edge, posterior, self._lights(camera, line_stroma), objects, quantile,
+                   np.stack([grey_levels(level, quantile) for level in (AIR, CHAMBER)], axis=-1))
 
     def render(self, state: FrameState, fresh: bool = True) -> np.ndarray:
         """The frame at `state`; `fresh` says that the surface tables have yet to be updated for it."""
@@ -91,90 +99,143 @@ class Scheimpflug:
             self._render_plain(image, state.retreat_mm * 1e-3)
         else:
             frame = round(state.time_ms / self.interval_ms)
-            self._render(image, noise_key(self.seed, frame), 1 if self.noise else 0, state.retreat_mm * 1e-3,
-                         self._speck_column(frame))
+            self._render(image, noise_key(self.seed, frame), state.retreat_mm * 1e-3, self._speck_column(frame))
         if self.atlas is not None:
             mask = self.atlas.mask(f"{state.time_ms:.2f} ms")
             stamp(image, mask, self.height - mask.shape[0] - 3, self.width - mask.shape[1] - 6, STAMP_LEVEL)
         return image
 
+    def _lights(self, camera, line_stroma: float) -> np.ndarray:
+        """Brightness of stroma and anterior line over the chamber in each column, shape [width, 2]."""
+        x_mm = (np.arange(self.width) - self.apex_column) * camera.pixel_x_mm
+        off_mm = camera.fall_off * (np.hypot(x_mm, FALL_CORE_MM) - FALL_CORE_MM)
+        stroma = camera.stroma * (STROMA_TOP - CHAMBER) * np.exp(-STROMA_FALL * off_mm)
+        line = (LINE_CENTRE - CHAMBER) * np.exp(-LINE_FALL * off_mm) - line_stroma * stroma
+        return np.column_stack([stroma, camera.epithelium * np.maximum(line, 0.0)])
+
     @ti.kernel
-    def _load(self, edge: ti.types.ndarray(), posterior: ti.types.ndarray(), objects: ti.types.ndarray(),
-              quantile: ti.types.ndarray()):
+    def _load(self, edge: ti.types.ndarray(), posterior: ti.types.ndarray(), light: ti.types.ndarray(),
+              objects: ti.types.ndarray(), quantile: ti.types.ndarray(), even: ti.types.ndarray()):
         for k in range(edge.shape[0]):
             self.edge[k], self.posterior[k] = ti.Vector([edge[k, 0], edge[k, 1]]), posterior[k]
         for i, k in ti.ndrange(objects.shape[0], objects.shape[1]):
             self.scenery[i, k] = ti.Vector([objects[i, k, 0], objects[i, k, 1]])
         for k in range(quantile.shape[0]):
-            self.quantile[k] = quantile[k]
+            self.quantile[k], self.even[k] = quantile[k], ti.Vector([even[k, 0], even[k, 1]])
+        for j, i in self.mixed:
+            self.mixed[j, i] = hash_u32(ti.cast(i * self.width + j, ti.u32))
+        for j in self.light:
+            self.light[j] = ti.Vector([light[j, 0], light[j, 1]])
 
     def _speck_column(self, frame: int) -> float:
         """Column of this frame's speck; far outside where it has none."""
+        if not self.specks:
+            return -1e3
         draw = np.random.default_rng([self.seed, frame, 1])
-        if not self.specks or draw.random() >= SPECK_SHARE:
+        if draw.random() >= SPECK_SHARE:
             return -1e3
         return self.apex_column + draw.normal(0.0, 0.15 * self.width)
 
     @ti.func
-    def set_column(self, j, retreat):
-        """Row of the anterior edge, apparent thickness, tilt, and the light on stroma and line of column j."""
+    def column(self, j, retreat):
+        """Row of the anterior edge, apparent thickness and tilt of column j."""
         x = (j - self.apex_column) * self.pixel_x
         z = self.surface.at(self.surface.height, x)
         slope = self.surface.at(self.surface.slope, x) * self.pixel_x / self.pixel_y
         depth = (z - self.surface.at(self.surface.apparent, x)) / self.pixel_y
-        off_mm = self.fall_off * (ti.sqrt((x * 1e3) ** 2 + FALL_CORE_MM**2) - FALL_CORE_MM)
-        stroma = self.stroma * (STROMA_TOP - CHAMBER) * ti.exp(-STROMA_FALL * off_mm)
-        line = (LINE_CENTRE - CHAMBER) * ti.exp(-LINE_FALL * off_mm) - self.line_stroma * stroma
         row = self.apex_row + (self.apex_rest - z + retreat) / self.pixel_y
-        tilt = 1.0 / ti.sqrt(1.0 + slope * slope)
-        self.column[j] = ti.Vector([row, ti.max(depth, 1.0), tilt, stroma, self.epithelium * ti.max(line, 0.0)])
+        return ti.Vector([row, ti.max(depth, 1.0), 1.0 / ti.sqrt(1.0 + slope * slope)])
 
     @ti.kernel
-    def _render(self, image: ti.types.ndarray(), key: ti.u32, noisy: ti.i32, retreat: float, speck: float):
-        for j in range(self.width):
-            self.set_column(j, retreat)
-        dent = ti.math.clamp((self.apex_rest - self.surface.height[0]) * 1e3, 0.0, 1.5)
-        haze = self.lens * (HAZE_REST + (HAZE_DENTED - HAZE_REST) * dent)
-        for i, j in ti.ndrange(self.height, self.width):
-            row, thickness, tilt, stroma, line = self.column[j]
-            depth = i - row
-            level = 0.0 * depth + AIR
-            if depth * tilt > -PROFILE_BEFORE_PX:
-                behind = 0.0
-                if depth > 0.5 * thickness:
-                    apparent = self.apex_rest + retreat - (i - self.apex_row) * self.pixel_y
-                    x, z = self.surface.through((j - self.apex_column) * self.pixel_x, apparent)
-                    front = (IRIS_HEIGHT_MM + IRIS_ABOVE_MM + IRIS_SLOPE * (abs(x) * 1e3 - IRIS_RIM_MM)) * 1e-3
-                    if z < ti.max(front, LENS_ABOVE_MM * 1e-3):
-                        iris, lens = self.scenery_at(x, z)
-                        behind = self.iris * iris + haze * lens
-                level = CHAMBER + behind
-                if (depth - thickness) * tilt < PROFILE_AFTER_PX:
+    def _render(self, image: ti.types.ndarray(), key: ti.u32, retreat: float, speck: float):
+        for turn in range(self.out.turns):
+            for k in range(self.out.first(turn), self.out.after(turn)):
+                self.look_behind(k, retreat)
+        for turn in range(self.across.turns):
+            for j in range(self.across.first(turn), self.across.after(turn)):
+                row, thickness, tilt = self.column(j, retreat)
+                stroma, line = self.light[j]
+                begin = self.row_from(row - PROFILE_BEFORE_PX / tilt)
+                end = ti.max(self.row_from(row + thickness + PROFILE_AFTER_PX / tilt), begin)
+                k, share = self.surface.between(abs(j - self.apex_column) * self.pixel_x)
+                lit = ti.min(self.behind_from[k], self.behind_from[k + 1])
+                for i in range(begin):
+                    image[i, j] = self.even[self.draw(j, i, key)][0]
+                for i in range(begin, end):
+                    depth = i - row
+                    behind = 0.0
+                    if i >= lit:
+                        behind = self.behind[k, i] + share * (self.behind[k + 1, i] - self.behind[k, i])
                     # step across the anterior surface, the line's excess, step across the posterior surface
                     edge = look_up(self.edge, depth * tilt)
                     inside = look_up(self.posterior, (depth - thickness) * tilt)
-                    share = ti.math.clamp(depth / thickness, 0.0, 1.0)
-                    body = stroma * (1.0 - (STROMA_TOP - STROMA_BOTTOM) / (STROMA_TOP - CHAMBER) * share)
-                    level = (AIR + edge[0] * (CHAMBER - AIR + inside * body + (1.0 - inside) * behind)
-                             + edge[1] * line)
+                    body = stroma * (1.0 - (STROMA_TOP - STROMA_BOTTOM) / (STROMA_TOP - CHAMBER)
+                                     * ti.math.clamp(depth / thickness, 0.0, 1.0))
+                    level = AIR + edge[0] * (CHAMBER - AIR + inside * body + (1.0 - inside) * behind) + edge[1] * line
                     if abs(j - speck) < 8.0:
                         off = ((j - speck) ** 2 + (depth - LINE_DEPTH_PX) ** 2) / (SPECK_SIGMA_PX * SPECK_SIGMA_PX)
                         level += SPECK_LEVEL * ti.exp(-0.5 * off)
-            if noisy != 0:
-                draw = hash_u32(hash_u32(ti.cast(i * self.width + j, ti.u32)) ^ key)
-                normal = self.quantile[ti.cast(draw >> 20, ti.i32)]
-                level += ti.sqrt(NOISE_FLOOR + NOISE_GAIN * level) * normal
-            image[i, j] = ti.cast(ti.math.clamp(level + 0.5, 0.0, 255.0), ti.u8)
+                    image[i, j] = self.sensed(level, j, i, key)
+                dark = ti.math.clamp(lit, end, self.height)
+                for i in range(end, dark):
+                    image[i, j] = self.even[self.draw(j, i, key)][1]
+                for i in range(dark, self.height):
+                    behind = self.behind[k, i] + share * (self.behind[k + 1, i] - self.behind[k, i])
+                    image[i, j] = self.sensed(CHAMBER + behind, j, i, key)
 
     @ti.kernel
     def _render_plain(self, image: ti.types.ndarray(), retreat: float):
-        for j in range(self.width):
-            self.set_column(j, retreat)
-        for i, j in ti.ndrange(self.height, self.width):
-            depth = i - self.column[j][0]
-            thickness = self.column[j][1]
-            cover = ti.math.clamp(depth + 0.5, 0.0, 1.0) - ti.math.clamp(depth - thickness + 0.5, 0.0, 1.0)
-            image[i, j] = ti.cast(PLAIN_BAND * cover + 0.5, ti.u8)
+        for turn in range(self.across.turns):
+            for j in range(self.across.first(turn), self.across.after(turn)):
+                row, thickness, _ = self.column(j, retreat)
+                begin = self.row_from(row - 0.5)
+                end = ti.max(self.row_from(row + thickness + 0.5), begin)
+                for i in range(begin):
+                    image[i, j] = ti.u8(0)
+                for i in range(begin, end):
+                    cover = ti.math.clamp(i - row + 0.5, 0.0, 1.0) - ti.math.clamp(i - row - thickness + 0.5, 0.0, 1.0)
+                    image[i, j] = ti.cast(PLAIN_BAND * cover + 0.5, ti.u8)
+                for i in range(end, self.height):
+                    image[i, j] = ti.u8(0)
+
+    @ti.func
+    def row_from(self, row):
+        """The first row of the image at or below `row`."""
+        return ti.math.clamp(ti.cast(ti.ceil(row), ti.i32), 0, self.height)
+
+    @ti.func
+    def draw(self, j, i, key):
+        """Number of the quantile that pixel (i, j) draws."""
+        return ti.cast(hash_u32(self.mixed[j, i] ^ key) >> 20, ti.i32)
+
+    @ti.func
+    def sensed(self, level, j, i, key):
+        """The pixel at this light, with the sensor's noise."""
+        noise = ti.sqrt(NOISE_FLOOR + NOISE_GAIN * level) * self.quantile[self.draw(j, i, key)]
+        return ti.cast(ti.math.clamp(level + noise + 0.5, 0.0, 255.0), ti.u8)
+
+    @ti.func
+    def look_behind(self, k, retreat):
+        """Light of iris and lens along the rays of the k-th radius, down the rows."""
+        dent = ti.math.clamp((self.apex_rest - self.surface.height[0]) * 1e3, 0.0, 1.5)
+        haze = self.lens * (HAZE_REST + (HAZE_DENTED - HAZE_REST) * dent)
+        top = self.row_from(self.apex_row + (self.apex_rest - self.surface.height[k] + retreat) / self.pixel_y)
+        lit = self.height
+        ray = 0
+        for i in range(top):
+            self.behind[k, i] = 0.0
+        for i in range(top, self.height):
+            apparent = self.apex_rest + retreat - (i - self.apex_row) * self.pixel_y
+            ray = self.surface.ray_above(k, ray, apparent)
+            x, z = self.surface.through(k, ray, apparent)
+            front = (IRIS_HEIGHT_MM + IRIS_ABOVE_MM + IRIS_SLOPE * (abs(x) * 1e3 - IRIS_RIM_MM)) * 1e-3
+            light = 0.0
+            if z < ti.max(front, LENS_ABOVE_MM * 1e-3):
+                iris, lens = self.scenery_at(x, z)
+                light = self.iris * iris + haze * lens
+                lit = ti.min(lit, i)
+            self.behind[k, i] = light
+        self.behind_from[k] = lit
 
     @ti.func
     def scenery_at(self, x, z):
@@ -195,6 +256,12 @@ def look_up(table: ti.template(), offset):
     t = ti.math.clamp((offset + PROFILE_BEFORE_PX) * STEPS_PER_PX, 0.0, table.shape[0] - 1.001)
     k = ti.max(ti.cast(t, ti.i32), 0)
     return table[k] + (t - k) * (table[k + 1] - table[k])
+
+
+def grey_levels(level: float, quantile: np.ndarray) -> np.ndarray:
+    """What the sensor reads of an even `level`, by quantile of its noise, uint8."""
+    noise = np.sqrt(NOISE_FLOOR + NOISE_GAIN * level) * quantile
+    return np.clip(level + noise + 0.5, 0.0, 255.0).astype(np.uint8)
 
 
 def edge_profiles() -> tuple[np.ndarray, np.ndarray, float]:

@@ -109,17 +109,28 @@ class Surface:
         return table[k] + (t - k) * (table[k + 1] - table[k])
 
     @ti.func
-    def through(self, x, apparent):
-        """The point (x, z) of the lit plane that column x shows at an apparent height [m], straight on beyond
-        the last ray."""
-        k = ti.math.clamp(ti.cast(abs(x) * (1.0 / self.spacing) + 0.5, ti.i32), 0, self.columns - 1)
-        n = 0
+    def between(self, r):
+        """The column of the tables below radius r >= 0, and the share of the way to the next."""
+        t = r * (1.0 / self.spacing)
+        k = ti.math.clamp(ti.cast(t, ti.i32), 0, self.columns - 2)
+        return k, t - k
+
+    @ti.func
+    def ray_above(self, k, ray, apparent):
+        """The last ray of column k, from `ray` on, that still stands above an apparent height [m] and has another under it."""
+        n = ray
         while n < RAYS - 2 and self.behind[k, n + 1][0] > apparent:
             n += 1
-        a = self.behind[k, n]
-        b = self.behind[k, n + 1]
+        return n
+
+    @ti.func
+    def through(self, k, ray, apparent):
+        """The point (x, z) of the lit plane that column k shows at an apparent height [m], on the line through this ray and
+        the next."""
+        a = self.behind[k, ray]
+        b = self.behind[k, ray + 1]
         seen = a + (b - a) * ((apparent - a[0]) / ti.min(b[0] - a[0], -1e-9))
-        return ti.Vector([seen[1] + abs(x) - k * self.spacing, seen[2]])
+        return ti.Vector([seen[1], seen[2]])
 
     @ti.func
     def tangent(self, wall: ti.template(), i):
