@@ -24,7 +24,7 @@ from .glyphs import GlyphAtlas, stamp
 from .noise import gaussian_table, noise_key, hash_u32
 from .state import FrameState
 from .strips import Strips
-from .surface import Surface
+from .surface import RAYS, Surface
 
 AIR = 6.5
 CHAMBER = 7.4
@@ -40,7 +40,7 @@ SPECK_SHARE = 0.12                           # of the frames
 SPECK_LEVEL, SPECK_SIGMA_PX = 520.0, 1.3     # saturates over some 4 px
 PLAIN_BAND = 150.0
 STAMP_LEVEL = 205
-STEPS_PER_PX = 16
+STEPS_PER_PX = 64                            # the steepest edge moves by 0.2 grey levels in half a step
 PROFILE_BEFORE_PX, PROFILE_AFTER_PX = 10, 14
 SCENERY_MM = 0.05                            # grid of iris and lens
 SCENERY_REACH_MM, SCENERY_TOP_MM, SCENERY_BOTTOM_MM = 6.5, 1.5, -7.0
@@ -143,18 +143,20 @@ class Scheimpflug:
         z = self.surface.at(self.surface.height, x)
         slope = self.surface.at(self.surface.slope, x) * self.pixel_x / self.pixel_y
         depth = (z - self.surface.at(self.surface.apparent, x)) / self.pixel_y
-        row = self.apex_row + (self.apex_rest - z + retreat) / self.pixel_y
-        return ti.Vector([row, ti.max(depth, 1.0), 1.0 / ti.sqrt(1.0 + slope * slope)])
+        return ti.Vector([self.row_of(z, retreat), ti.max(depth, 1.0), 1.0 / ti.sqrt(1.0 + slope * slope)])
 
     @ti.kernel
     def _render(self, image: ti.types.ndarray(), key: ti.u32, retreat: float, speck: float):
         for turn in range(self.out.turns):
-            for k in range(self.out.first(turn), self.out.after(turn)):
+            first, after = self.out.bounds(turn)
+            for k in range(first, after):
                 self.look_behind(k, retreat)
         for turn in range(self.across.turns):
-            for j in range(self.across.first(turn), self.across.after(turn)):
+            first, after = self.across.bounds(turn)
+            for j in range(first, after):
                 row, thickness, tilt = self.column(j, retreat)
                 stroma, line = self.light[j]
+                loss = (STROMA_TOP - STROMA_BOTTOM) / (STROMA_TOP - CHAMBER) * stroma / thickness
                 begin = self.row_from(row - PROFILE_BEFORE_PX / tilt)
                 end = ti.max(self.row_from(row + thickness + PROFILE_AFTER_PX / tilt), begin)
                 k, share = self.surface.between(abs(j - self.apex_column) * self.pixel_x)
@@ -169,8 +171,7 @@ class Scheimpflug:
                     # step across the anterior surface, the line's excess, step across the posterior surface
                     edge = look_up(self.edge, depth * tilt)
                     inside = look_up(self.posterior, (depth - thickness) * tilt)
-                    body = stroma * (1.0 - (STROMA_TOP - STROMA_BOTTOM) / (STROMA_TOP - CHAMBER)
-                                     * ti.math.clamp(depth / thickness, 0.0, 1.0))
+                    body = stroma - loss * ti.math.clamp(depth, 0.0, thickness)
                     level = AIR + edge[0] * (CHAMBER - AIR + inside * body + (1.0 - inside) * behind) + edge[1] * line
                     if abs(j - speck) < 8.0:
                         off = ((j - speck) ** 2 + (depth - LINE_DEPTH_PX) ** 2) / (SPECK_SIGMA_PX * SPECK_SIGMA_PX)
@@ -186,7 +187,8 @@ class Scheimpflug:
     @ti.kernel
     def _render_plain(self, image: ti.types.ndarray(), retreat: float):
         for turn in range(self.across.turns):
-            for j in range(self.across.first(turn), self.across.after(turn)):
+            first, after = self.across.bounds(turn)
+            for j in range(first, after):
                 row, thickness, _ = self.column(j, retreat)
                 begin = self.row_from(row - 0.5)
                 end = ti.max(self.row_from(row + thickness + 0.5), begin)
@@ -197,6 +199,11 @@ class Scheimpflug:
                     image[i, j] = ti.cast(PLAIN_BAND * cover + 0.5, ti.u8)
                 for i in range(end, self.height):
                     image[i, j] = ti.u8(0)
+
+    @ti.func
+    def row_of(self, z, retreat):
+        """Row of a height [m] over the limbus plane."""
+        return self.apex_row + (self.apex_rest - z + retreat) / self.pixel_y
 
     @ti.func
     def row_from(self, row):
@@ -219,22 +226,30 @@ class Scheimpflug:
         """Light of iris and lens along the rays of the k-th radius, down the rows."""
         dent = ti.math.clamp((self.apex_rest - self.surface.height[0]) * 1e3, 0.0, 1.5)
         haze = self.lens * (HAZE_REST + (HAZE_DENTED - HAZE_REST) * dent)
-        top = self.row_from(self.apex_row + (self.apex_rest - self.surface.height[k] + retreat) / self.pixel_y)
         lit = self.height
-        ray = 0
-        for i in range(top):
+        begin = self.row_from(self.row_of(self.surface.height[k], retreat))
+        for i in range(begin):
             self.behind[k, i] = 0.0
-        for i in range(top, self.height):
-            apparent = self.apex_rest + retreat - (i - self.apex_row) * self.pixel_y
-            ray = self.surface.ray_above(k, ray, apparent)
-            x, z = self.surface.through(k, ray, apparent)
-            front = (IRIS_HEIGHT_MM + IRIS_ABOVE_MM + IRIS_SLOPE * (abs(x) * 1e3 - IRIS_RIM_MM)) * 1e-3
-            light = 0.0
-            if z < ti.max(front, LENS_ABOVE_MM * 1e-3):
-                iris, lens = self.scenery_at(x, z)
-                light = self.iris * iris + haze * lens
-                lit = ti.min(lit, i)
-            self.behind[k, i] = light
+        for n in range(RAYS - 1):
+            # between two rays place in the lit plane goes evenly with the row; straight on before the first, beyond the last
+            a = self.surface.behind[k, n]
+            b = self.surface.behind[k, n + 1]
+            row = self.row_of(a[0], retreat)
+            rate = (b - a) * (self.pixel_y / ti.max(a[0] - b[0], 1e-9))
+            end = self.height
+            if n < RAYS - 2:
+                end = ti.max(self.row_from(self.row_of(b[0], retreat)), begin)
+            for i in range(begin, end):
+                x = a[1] + (i - row) * rate[1]
+                z = a[2] + (i - row) * rate[2]
+                light = 0.0
+                front = (IRIS_HEIGHT_MM + IRIS_ABOVE_MM + IRIS_SLOPE * (abs(x) * 1e3 - IRIS_RIM_MM)) * 1e-3
+                if z < ti.max(front, LENS_ABOVE_MM * 1e-3):
+                    iris, lens = self.scenery_at(x, z)
+                    light = self.iris * iris + haze * lens
+                    lit = ti.min(lit, i)
+                self.behind[k, i] = light
+            begin = end
         self.behind_from[k] = lit
 
     @ti.func
@@ -252,10 +267,9 @@ class Scheimpflug:
 
 @ti.func
 def look_up(table: ti.template(), offset):
-    """A cross-section table at `offset` px from its edge, constant beyond its ends."""
-    t = ti.math.clamp((offset + PROFILE_BEFORE_PX) * STEPS_PER_PX, 0.0, table.shape[0] - 1.001)
-    k = ti.max(ti.cast(t, ti.i32), 0)
-    return table[k] + (t - k) * (table[k + 1] - table[k])
+    """The entry of a cross-section table nearest to `offset` px from its edge, constant beyond its ends."""
+    t = ti.math.clamp((offset + PROFILE_BEFORE_PX) * STEPS_PER_PX + 0.5, 0.0, table.shape[0] - 1.0)
+    return table[ti.max(ti.cast(t, ti.i32), 0)]
 
 
 def grey_levels(level: float, quantile: np.ndarray) -> np.ndarray:
@@ -265,7 +279,7 @@ def grey_levels(level: float, quantile: np.ndarray) -> np.ndarray:
 
 
 def edge_profiles() -> tuple[np.ndarray, np.ndarray, float]:
-    """Cross-sections tabulated over the distance from an edge along its normal, -10..14 px in 1/16 px.
+    """Cross-sections tabulated over the distance from an edge along its normal, -10..14 px in 1/64 px.
 
     Returns the anterior step and line excess, shape [n, 2], the posterior step (1 inside the stroma, 0
     behind), shape [n], and the share of the stroma's brightness under the peak of the line. The anterior

@@ -8,8 +8,8 @@ import taichi as ti
 
 from taichi_eye.backend import on_cpu
 
-GRAIN = 512
-STRIPS = 16
+GRAIN = 512       # a power of two
+STRIPS = 8
 
 
 class Strips:
@@ -21,12 +21,12 @@ class Strips:
         self.turns = self.count * self.grain
 
     @ti.func
-    def first(self, turn):
-        """First row or column of the strip that this turn draws."""
-        return turn // self.grain * self.length // self.count
-
-    @ti.func
-    def after(self, turn):
-        """The one after its last; `first` where the turn draws nothing."""
-        strip = turn // self.grain
-        return (strip + ti.cast(turn % self.grain == 0, ti.i32)) * self.length // self.count
+    def bounds(self, turn):
+        """First row or column that this turn draws, and the one after its last; none in most turns."""
+        first = 0
+        after = 0
+        if turn & (self.grain - 1) == 0:
+            strip = turn // self.grain
+            first = strip * self.length // self.count
+            after = (strip + 1) * self.length // self.count
+        return first, after

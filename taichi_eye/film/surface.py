@@ -116,23 +116,6 @@ class Surface:
         return k, t - k
 
     @ti.func
-    def ray_above(self, k, ray, apparent):
-        """The last ray of column k, from `ray` on, that still stands above an apparent height [m] and has another under it."""
-        n = ray
-        while n < RAYS - 2 and self.behind[k, n + 1][0] > apparent:
-            n += 1
-        return n
-
-    @ti.func
-    def through(self, k, ray, apparent):
-        """The point (x, z) of the lit plane that column k shows at an apparent height [m], on the line through this ray and
-        the next."""
-        a = self.behind[k, ray]
-        b = self.behind[k, ray + 1]
-        seen = a + (b - a) * ((apparent - a[0]) / ti.min(b[0] - a[0], -1e-9))
-        return ti.Vector([seen[1], seen[2]])
-
-    @ti.func
     def tangent(self, wall: ti.template(), i):
         """Unit-speed tangent at an inner node or the apex (mirrored neighbour): the parabola through three
         nodes."""
