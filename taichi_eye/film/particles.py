@@ -25,6 +25,7 @@ from taichi_eye.units import KPA, MM, MMHG, MS
 
 from .glyphs import GlyphAtlas, font, stamp
 from .state import FrameState
+from .strips import Strips
 from .surface import Surface
 
 BACKGROUND = (13, 17, 26)
@@ -38,6 +39,8 @@ FILL_FLOOR = (8.0, 10.0, 16.0)
 EMPTY = 0xFFFFFFFF
 NODE_BITS = 20            # of the nearest-node word; the distance takes the other 12
 MAX_NODES = 1 << NODE_BITS
+DISTANCES = 1 << (32 - NODE_BITS)
+MARKER_PX = 20            # half the square that the marker is looked for in
 
 
 @dataclass(frozen=True)
@@ -92,7 +95,7 @@ class Particles:
         spacing_px = scene.numerics.spacing_mm * at.scale
         self.disc = max(0.44 * spacing_px, 0.6)
         self.reach = max(0.80 * spacing_px, 1.5)
-        self.distance_steps = 4095.0 / (self.reach + 1.0) ** 2
+        self.distance_steps = (DISTANCES - 1.0) / (self.reach + 1.0) ** 2
         self.line = 1.7 * at.unit
         self.curve = 1.1 * at.unit
         self.marker = 4.4 * at.unit
@@ -103,17 +106,27 @@ class Particles:
         self.puff_profile = Puff.from_scene(scene).radial(self.radii)
 
         self.nearest = ti.field(ti.u32, (self.height, self.half))
+        self.colours = ti.Vector.field(3, ti.f32, 256)
+        self.cover = ti.field(ti.f32, DISTANCES)      # of a disc, by the distance in a nearest-node word
+        self.glow = ti.field(ti.f32, self.height + 2)     # of the jet, by rows over the cornea
+        self.wall = ti.field(ti.u8, (self.height, self.half))
         self.column = ti.Vector.field(3, real(), self.half)
-        self.base = ti.Vector.field(3, ti.u8, (self.height, self.width))
-        self.wall = ti.field(ti.u8, (self.height, self.width))
-        self.colours = ti.Vector.field(3, real(), 256)
-        self._load(colour_table(scene), background(scene, at, self.limits, self.ranges), wall_cover(scene, at))
+        self.down, self.over = Strips(self.height), Strips(self.right - self.left + 1)
+        wall = wall_cover(scene, at)
+        ground = background(scene, at, self.limits, self.ranges)
+        self.still = (ground + wall[..., None] / 255.0 * (np.array(WALL) - ground) + 0.5).astype(np.uint8)
+        distance = np.sqrt((np.arange(DISTANCES) + 0.5) / self.distance_steps)
+        rows = np.arange(self.height + 2)
+        self._load(colour_table(scene), np.clip(self.disc + 0.5 - distance, 0.0, 1.0),
+                   # an even beam, brighter where it stops on the cornea
+                   0.46 + 0.30 * np.exp(-rows / (0.25 * at.scale)), wall[:, at.axis:at.axis + at.half].copy())
         self.big = GlyphAtlas(max(8, round(21 * at.unit)))
         self.small = GlyphAtlas(max(7, round(13 * at.unit)), bold=True)
         self.stamped = stamped
 
-    def render(self, state: FrameState, fresh: bool = True) -> np.ndarray:
-        """The frame at `state`; `fresh` says that the surface tables have yet to be updated for it.
+    def render(self, state: FrameState, fresh: bool = True, out: np.ndarray | None = None) -> np.ndarray:
+        """The frame at `state`, in `out` (contiguous) where that is given; `fresh` says that the surface tables have yet to be
+        updated for it.
 
         Raises ValueError where the state has more than 2^20 nodes.
         """
@@ -121,7 +134,8 @@ class Particles:
             raise ValueError(f"{state.node_count} nodes: the particle view draws at most {MAX_NODES}")
         if fresh:
             self.surface.update(state.wall, state.wall_count)
-        image = np.empty((self.height, self.width, 3), np.uint8)
+        image = np.empty(self.still.shape, np.uint8) if out is None else out
+        image[...] = self.still
         profile = self.puff_profile
         puff_kpa = state.trace_puff_kpa[-1] if len(state.trace_puff_kpa) else 0.0
         if state.puff_radial is not None and np.max(np.abs(state.puff_radial)) > 0.0:
@@ -129,8 +143,7 @@ class Particles:
             profile = np.interp(self.radii, wall_r, state.puff_radial, right=0.0)
             profile /= np.max(np.abs(state.puff_radial))
         curves, head, now = self.curve_columns(state)
-        self._find(state.nodes, state.node_count)
-        self._draw(image, state.nodes, state.pressure, state.velocity, profile.astype(np.float32),
+        self._draw(image, state.nodes, state.node_count, state.pressure, state.velocity, profile.astype(np.float32),
                    puff_kpa / self.peak_kpa, curves, head[0], head[1], now)
         self.label(image, state, puff_kpa)
         return image
@@ -167,33 +180,19 @@ class Particles:
             stamp(image, load, row, self.right - load.shape[1], JET)
 
     @ti.kernel
-    def _load(self, colours: ti.types.ndarray(), base: ti.types.ndarray(), wall: ti.types.ndarray()):
+    def _load(self, colours: ti.types.ndarray(), cover: ti.types.ndarray(), glow: ti.types.ndarray(),
+              wall: ti.types.ndarray()):
         for k in range(256):
             self.colours[k] = ti.Vector([colours[k, 0], colours[k, 1], colours[k, 2]])
-        for i, j in ti.ndrange(self.height, self.width):
-            self.base[i, j] = ti.Vector([base[i, j, 0], base[i, j, 1], base[i, j, 2]])
+        for k in self.cover:
+            self.cover[k] = cover[k]
+        for k in self.glow:
+            self.glow[k] = glow[k]
+        for i, j in self.wall:
             self.wall[i, j] = wall[i, j]
 
     @ti.kernel
-    def _find(self, nodes: ti.template(), node_count: ti.i32):
-        for i, j in self.nearest:
-            self.nearest[i, j] = ti.u32(EMPTY)
-        for n in range(node_count):
-            column = nodes[n][0] * self.px_per_m
-            row = self.limbus_row - nodes[n][1] * self.px_per_m
-            first_i = ti.max(ti.cast(ti.ceil(row - self.reach - 0.5), ti.i32), 0)
-            last_i = ti.min(ti.cast(ti.floor(row + self.reach - 0.5), ti.i32), self.height - 1)
-            first_j = ti.max(ti.cast(ti.ceil(column - self.reach - 0.5), ti.i32), 0)
-            last_j = ti.min(ti.cast(ti.floor(column + self.reach - 0.5), ti.i32), self.half - 1)
-            for i in range(first_i, last_i + 1):
-                for j in range(first_j, last_j + 1):
-                    far = (i + 0.5 - row) ** 2 + (j + 0.5 - column) ** 2
-                    if far <= self.reach**2:
-                        word = (ti.cast(far * self.distance_steps, ti.u32) << NODE_BITS) | ti.cast(n, ti.u32)
-                        ti.atomic_min(self.nearest[i, j], word)
-
-    @ti.kernel
-    def _draw(self, image: ti.types.ndarray(), nodes: ti.template(), pressure: ti.template(),
+    def _draw(self, image: ti.types.ndarray(), nodes: ti.template(), node_count: ti.i32, pressure: ti.template(),
               velocity: ti.template(), profile: ti.types.ndarray(), puff: ti.f32, curves: ti.types.ndarray(),
               head_column: ti.f32, head_row: ti.f32, now: ti.i32):
         for k in range(self.half):
@@ -202,67 +201,122 @@ class Particles:
             row = self.limbus_row - self.surface.at(self.surface.height, r) * self.px_per_m
             tilt = 1.0 / ti.sqrt(1.0 + slope * slope)
             self.column[k] = ti.Vector([row, tilt, ti.max(puff * self.surface.at(profile, r), 0.0)])
-        for i, j in ti.ndrange(self.height, self.width):
-            still = self.base[i, j]
-            colour = ti.Vector([1.0 * still[0], 1.0 * still[1], 1.0 * still[2]])
-            off = ti.max(j - self.axis, self.axis - 1 - j)
-            if off < self.half:
-                surface_row, tilt, load = self.column[off]
-                depth = i + 0.5 - surface_row
-                if depth < 0.0:
-                    if load > 1e-3:
-                        # an even beam, brighter where it stops on the cornea
-                        glow = 0.46 + 0.30 * ti.exp(depth / (0.25e-3 * self.px_per_m))
-                        colour = blend(colour, ti.Vector(JET), load * glow)
-                else:
-                    word = self.nearest[i, off]
-                    if word != ti.u32(EMPTY):
-                        n = ti.cast(word & ti.u32(MAX_NODES - 1), ti.i32)
-                        far = ti.sqrt((off + 0.5 - nodes[n][0] * self.px_per_m) ** 2
-                                      + (self.limbus_row - nodes[n][1] * self.px_per_m - i - 0.5) ** 2)
-                        value = 0.0 * far
-                        if ti.static(self.by_speed):
-                            value = velocity[n].norm()
-                        else:
-                            value = pressure[n]
-                        share = ti.math.clamp((value - self.low) / self.span, 0.0, 1.0)
-                        tint = self.colours[ti.math.clamp(ti.cast(share * 255.0 + 0.5, ti.i32), 0, 255)]
-                        cover = ti.math.clamp(self.disc + 0.5 - far, 0.0, 1.0)
-                        colour = blend(FILL * tint + ti.Vector(FILL_FLOOR), tint, cover)
-                if abs(depth) * tilt < self.line + 0.5 and off < self.rim:
-                    colour = blend(colour, ti.Vector(MEMBRANE),
-                                   ti.math.clamp(self.line + 0.5 - abs(depth) * tilt, 0.0, 1.0))
-                wall = self.wall[i, j]
+        for turn in range(self.down.turns):
+            first, after = self.down.bounds(turn)
+            if first < after:
+                self.find(nodes, node_count, first, after)
+            for i in range(first, after):
+                for off in range(self.half):
+                    self.draw_section(image, i, off, pressure, velocity)
+        for turn in range(self.over.turns):
+            first, after = self.over.bounds(turn)
+            for k in range(first, ti.min(after, now + 1)):
+                self.draw_curves(image, curves, k, now)
+        for i, j in ti.ndrange(2 * MARKER_PX, 2 * MARKER_PX):
+            row = i + ti.cast(head_row, ti.i32) - MARKER_PX
+            column = j + ti.cast(head_column, ti.i32) - MARKER_PX
+            if row >= 0 and row < self.height and column >= 0 and column < self.width:
+                gone = ti.sqrt((column - head_column) ** 2 + (row - head_row) ** 2)
+                cover = ti.math.clamp(self.marker + 0.5 - gone, 0.0, 1.0)
+                if cover > 0.0:
+                    put(image, row, column, blend(pixel(image, row, column), ti.Vector(TRACE), cover))
+
+    @ti.func
+    def find(self, nodes: ti.template(), node_count, first, after):
+        """Write the nearest-node words of these rows."""
+        for i in range(first, after):
+            for j in range(self.half):
+                self.nearest[i, j] = ti.u32(EMPTY)
+        for n in range(node_count):
+            row = self.limbus_row - nodes[n][1] * self.px_per_m
+            top = ti.max(ti.cast(ti.ceil(row - self.reach - 0.5), ti.i32), first)
+            bottom = ti.min(ti.cast(ti.floor(row + self.reach - 0.5), ti.i32) + 1, after)
+            if top < bottom:
+                column = nodes[n][0] * self.px_per_m
+                for i in range(top, bottom):
+                    down = (i + 0.5 - row) ** 2
+                    side = ti.sqrt(ti.max(self.reach**2 - down, 0.0))
+                    left = ti.max(ti.cast(ti.ceil(column - side - 0.5), ti.i32), 0)
+                    right = ti.min(ti.cast(ti.floor(column + side - 0.5), ti.i32) + 1, self.half)
+                    for j in range(left, right):
+                        far = down + (j + 0.5 - column) ** 2
+                        word = (ti.cast(far * self.distance_steps, ti.u32) << NODE_BITS) | ti.cast(n, ti.u32)
+                        self.nearest[i, j] = ti.min(self.nearest[i, j], word)
+
+    @ti.func
+    def draw_section(self, image: ti.template(), i, off, pressure: ti.template(), velocity: ti.template()):
+        """The pixel in row i, `off` columns from the axis, and its mirror image, where jet, liquid or membrane show."""
+        surface_row, tilt, load = self.column[off]
+        depth = i + 0.5 - surface_row
+        line = self.line + 0.5 - abs(depth) * tilt
+        wall = self.wall[i, off]
+        if wall < 255:
+            colour = ti.Vector(BACKGROUND) * 1.0
+            shown = False
+            if depth < 0.0:
+                if load > 1e-3:
+                    over = ti.min(-depth, self.height)
+                    k = ti.cast(over, ti.i32)
+                    glow = self.glow[k] + (over - k) * (self.glow[k + 1] - self.glow[k])
+                    colour = blend(colour, ti.Vector(JET), load * glow)
+                    shown = True
+            else:
+                word = self.nearest[i, off]
+                if word != ti.u32(EMPTY):
+                    n = ti.cast(word & ti.u32(MAX_NODES - 1), ti.i32)
+                    value = 0.0 * depth
+                    if ti.static(self.by_speed):
+                        value = velocity[n].norm()
+                    else:
+                        value = pressure[n]
+                    share = ti.math.clamp((value - self.low) / self.span, 0.0, 1.0)
+                    tint = self.colours[ti.math.clamp(ti.cast(share * 255.0 + 0.5, ti.i32), 0, 255)]
+                    cover = self.cover[ti.cast(word >> NODE_BITS, ti.i32)]
+                    colour = blend(FILL * tint + ti.Vector(FILL_FLOOR), tint, cover)
+                    shown = True
+            if line > 0.0 and off < self.rim:
+                colour = blend(colour, ti.Vector(MEMBRANE), ti.min(line, 1.0))
+                shown = True
+            if shown:
                 if wall > 0:
                     colour = blend(colour, ti.Vector(WALL), wall / 255.0)
-            elif j >= self.left and j <= self.right and i >= self.top and i <= self.bottom:
-                k = j - self.left
-                if k <= now:
-                    if i > curves[k, 1]:
-                        colour = blend(colour, ti.Vector(JET), 0.10)
-                    load = 0.75 * curve_cover(curves, k, 1, i, now, self.curve)
-                    colour = blend(colour, ti.Vector(JET), load)
-                    apex = curve_cover(curves, k, 0, i, now, 1.5 * self.curve)
-                    colour = blend(colour, ti.Vector(TRACE), apex)
-            if abs(j - head_column) < 20.0 and abs(i - head_row) < 20.0:
-                gone = ti.sqrt((j - head_column) ** 2 + (i - head_row) ** 2)
-                colour = blend(colour, ti.Vector(TRACE), ti.math.clamp(self.marker + 0.5 - gone, 0.0, 1.0))
-            for c in ti.static(range(3)):
-                image[i, j, c] = ti.cast(ti.math.clamp(colour[c] + 0.5, 0.0, 255.0), ti.u8)
+                put(image, i, self.axis + off, colour)
+                put(image, i, self.axis - 1 - off, colour)
+
+    @ti.func
+    def draw_curves(self, image: ti.template(), curves: ti.template(), k, now):
+        """The k-th column of the plot: the load, shaded down to the axis, and the apex over it."""
+        for which, colour, strength, half_width in ti.static(((1, JET, 0.75, self.curve), (0, TRACE, 1.0, 1.5 * self.curve))):
+            here = curves[k, which]
+            slope = 0.5 * (curves[ti.min(k + 1, now), which] - curves[ti.max(k - 1, 0), which])
+            steep = ti.sqrt(1.0 + slope * slope)
+            top = ti.max(ti.cast(ti.ceil(here - (half_width + 0.5) * steep), ti.i32), self.top)
+            bottom = ti.min(ti.cast(ti.floor(here + (half_width + 0.5) * steep), ti.i32), self.bottom)
+            if ti.static(which == 1):
+                for i in range(ti.max(ti.cast(ti.floor(here), ti.i32) + 1, self.top), self.bottom + 1):
+                    put(image, i, self.left + k, blend(pixel(image, i, self.left + k), ti.Vector(JET), 0.10))
+            for i in range(top, bottom + 1):
+                cover = strength * ti.math.clamp(half_width + 0.5 - abs(i - here) / steep, 0.0, 1.0)
+                put(image, i, self.left + k, blend(pixel(image, i, self.left + k), ti.Vector(colour), cover))
+
+
+@ti.func
+def pixel(image: ti.template(), i, j):
+    """The colour there."""
+    return ti.Vector([1.0 * image[i, j, 0], 1.0 * image[i, j, 1], 1.0 * image[i, j, 2]])
+
+
+@ti.func
+def put(image: ti.template(), i, j, colour):
+    """Set a pixel."""
+    for c in ti.static(range(3)):
+        image[i, j, c] = ti.cast(ti.math.clamp(colour[c] + 0.5, 0.0, 255.0), ti.u8)
 
 
 @ti.func
 def blend(under, colour, share):
     """`colour` over `under` with coverage `share`."""
     return under + share * (colour - under)
-
-
-@ti.func
-def curve_cover(curves: ti.template(), k, which, row, last, half_width):
-    """Coverage of pixel (row, column k) by a curve given as one row per column."""
-    here = curves[k, which]
-    slope = 0.5 * (curves[ti.min(k + 1, last), which] - curves[ti.max(k - 1, 0), which])
-    return ti.math.clamp(half_width + 0.5 - abs(row - here) / ti.sqrt(1.0 + slope * slope), 0.0, 1.0)
 
 
 def colour_limits(scene) -> tuple[float, float]:
