@@ -13,6 +13,7 @@ from PIL import Image
 
 QUALITY = 20         # constant rate factor: sensor noise stays visible
 PRESET = "ultrafast"   # noise makes every frame costly: half the time of "veryfast" for a file twice the size
+PIPE_BYTES = 1 << 20   # a frame in few pieces: each costs a switch between feeder and encoder
 QUEUED_FRAMES = 16     # that may wait for the encoder while the simulation goes on
 
 
@@ -53,7 +54,10 @@ class FilmWriter:
         self.close()
 
     def write(self, frame: np.ndarray, time_ms: float) -> None:
-        """Append one frame; with `png_dir` also as frame_040_09.26ms.png there (number from 0, its time)."""
+        """Append one frame; with `png_dir` also as frame_040_09.26ms.png there (number from 0, its time).
+
+        The frame is not copied: from here on it must not change.
+        """
         if frame.dtype != np.uint8 or frame.ndim not in (2, 3) or (frame.ndim == 3 and frame.shape[2] != 3):
             raise ValueError(f"a frame is uint8 [H, W] or [H, W, 3], not {frame.dtype} {frame.shape}")
         if self._process is None:
@@ -62,12 +66,14 @@ class FilmWriter:
             raise ValueError(f"frame {self.frame_count} has shape {frame.shape}, the film {self._shape}")
         if self.png_dir is not None:
             Image.fromarray(frame).save(self.png_dir / frame_name(self.frame_count, time_ms))
-        pad = [(0, frame.shape[0] % 2), (0, frame.shape[1] % 2)] + [(0, 0)] * (frame.ndim - 2)
         if self._broken is not None:
             self._process.wait()
             reason = f"the film encoder stopped at frame {self.frame_count}: {self._log_end()}"
             raise EncoderError(reason) from self._broken
-        self._queue.put(np.ascontiguousarray(np.pad(frame, pad, mode="edge")))
+        if frame.shape[0] % 2 or frame.shape[1] % 2:
+            pad = [(0, frame.shape[0] % 2), (0, frame.shape[1] % 2)] + [(0, 0)] * (frame.ndim - 2)
+            frame = np.pad(frame, pad, mode="edge")
+        self._queue.put(np.ascontiguousarray(frame))
         self.frame_count += 1
 
     def _feed(self) -> None:
@@ -115,7 +121,7 @@ class FilmWriter:
         self._log = tempfile.TemporaryFile()
         # a session of its own: Ctrl-C stops the run, which then closes the film in order
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
-                                         stderr=self._log, start_new_session=True)
+                                         stderr=self._log, start_new_session=True, pipesize=PIPE_BYTES)
         self._feeder = threading.Thread(target=self._feed, daemon=True)
         self._feeder.start()
 

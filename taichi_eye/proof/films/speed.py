@@ -9,7 +9,6 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_eye.bench.rows import Row, at_least, at_most, figure
@@ -68,5 +67,6 @@ def _filmed(scene: Scene, cloud, folder: Path) -> None:
 
 def _state(eye: Simulation) -> FrameState:
     place, velocity, pressure, count = eye.liquid()
-    traces = [np.array(eye.traces[name]) for name in ("time_ms", "apex_displacement_mm", "puff_apex_kpa")]
-    return FrameState(eye.time_ms, eye.cornea.place, eye.wall_count, place, count, pressure, velocity, *traces)
+    traces = eye.traces
+    return FrameState(eye.time_ms, eye.cornea.place, eye.wall_count, place, count, pressure, velocity, traces["time_ms"],
+                      traces["apex_displacement_mm"], traces["puff_apex_kpa"])
