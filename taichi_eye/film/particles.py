@@ -1,10 +1,10 @@
 """The technical view: the fluid's nodes coloured by pressure or speed, the membrane, the puff and the apex
 trace.
 
-What never changes (chamber walls, axes, labels, colour bar) is rasterised once; a kernel draws the rest
-from the current fields. Every pixel takes the node nearest to it, found by an integer minimum over
-(distance, node), which does not depend on the order of threads. The section is drawn for r >= 0 and
-mirrored.
+What never changes (chamber walls, axes, labels, colour bar) is rasterised once; a kernel draws over it
+what the current fields show and nothing else. Every pixel takes the node nearest to it, found by an integer
+minimum over (distance, colour), which does not depend on the order of nodes. The section is drawn for
+r >= 0 and mirrored, column by column from the puff down to the back.
 
 The colour limits are those of the scene, fixed for the whole film: pressure from the IOP to the IOP plus a
 quarter of the puff's peak (a sealed chamber gains about a fifth of it), speed from 0 to 0.03 m/s per kPa of
@@ -37,10 +37,10 @@ DARKEST = 0.12            # start of the colour map: its first colours drown in 
 FILL = 0.34               # brightness of the space between nodes, of their colour
 FILL_FLOOR = (8.0, 10.0, 16.0)
 EMPTY = 0xFFFFFFFF
-NODE_BITS = 20            # of the nearest-node word; the distance takes the other 12
-MAX_NODES = 1 << NODE_BITS
-DISTANCES = 1 << (32 - NODE_BITS)
-MARKER_PX = 20            # half the square that the marker is looked for in
+SHADE_BITS = 8            # of the nearest-node word; the distance takes the other 24
+DISTANCES = 1 << (32 - SHADE_BITS)
+COVER_BITS = 12           # of the distance, that tell what a disc covers
+COVERS = 1 << COVER_BITS
 
 
 @dataclass(frozen=True)
@@ -99,27 +99,29 @@ class Particles:
         self.line = 1.7 * at.unit
         self.curve = 1.1 * at.unit
         self.marker = 4.4 * at.unit
+        self.marker_px = ceil(self.marker + 0.5) + 1
         self.left, self.top, self.right, self.bottom = at.plot
         self.ranges = plot_ranges(scene)
         self.peak_kpa = peak_load_kpa(scene)
         self.radii = np.arange(self.surface.count) * self.surface.spacing
         self.puff_profile = Puff.from_scene(scene).radial(self.radii)
 
-        self.nearest = ti.field(ti.u32, (self.height, self.half))
+        # by columns from the axis outwards, then rows
+        self.nearest = ti.field(ti.u32, (self.half, self.height))
+        self.wall = ti.field(ti.u8, (self.half, self.height))
+        self.floor = ti.field(ti.i32, self.half)
         self.colours = ti.Vector.field(3, ti.f32, 256)
-        self.cover = ti.field(ti.f32, DISTANCES)      # of a disc, by the distance in a nearest-node word
+        self.cover = ti.field(ti.f32, COVERS)             # of a disc, by the distance in a nearest-node word
         self.glow = ti.field(ti.f32, self.height + 2)     # of the jet, by rows over the cornea
-        self.wall = ti.field(ti.u8, (self.height, self.half))
-        self.column = ti.Vector.field(3, real(), self.half)
-        self.down, self.over = Strips(self.height), Strips(self.right - self.left + 1)
+        self.out, self.over = Strips(self.half), Strips(self.right - self.left + 1)
         wall = wall_cover(scene, at)
         ground = background(scene, at, self.limits, self.ranges)
         self.still = (ground + wall[..., None] / 255.0 * (np.array(WALL) - ground) + 0.5).astype(np.uint8)
-        distance = np.sqrt((np.arange(DISTANCES) + 0.5) / self.distance_steps)
-        rows = np.arange(self.height + 2)
+        distance = np.sqrt((np.arange(COVERS) + 0.5) * (DISTANCES / COVERS / self.distance_steps))
+        section = np.ascontiguousarray(wall[:, at.axis:at.axis + at.half].T)
         self._load(colour_table(scene), np.clip(self.disc + 0.5 - distance, 0.0, 1.0),
                    # an even beam, brighter where it stops on the cornea
-                   0.46 + 0.30 * np.exp(-rows / (0.25 * at.scale)), wall[:, at.axis:at.axis + at.half].copy())
+                   0.46 + 0.30 * np.exp(-np.arange(self.height + 2) / (0.25 * at.scale)), section, floor_rows(section))
         self.big = GlyphAtlas(max(8, round(21 * at.unit)))
         self.small = GlyphAtlas(max(7, round(13 * at.unit)), bold=True)
         self.stamped = stamped
@@ -127,11 +129,7 @@ class Particles:
     def render(self, state: FrameState, fresh: bool = True, out: np.ndarray | None = None) -> np.ndarray:
         """The frame at `state`, in `out` (contiguous) where that is given; `fresh` says that the surface tables have yet to be
         updated for it.
-
-        Raises ValueError where the state has more than 2^20 nodes.
         """
-        if state.node_count > MAX_NODES:
-            raise ValueError(f"{state.node_count} nodes: the particle view draws at most {MAX_NODES}")
         if fresh:
             self.surface.update(state.wall, state.wall_count)
         image = np.empty(self.still.shape, np.uint8) if out is None else out
@@ -181,40 +179,36 @@ class Particles:
 
     @ti.kernel
     def _load(self, colours: ti.types.ndarray(), cover: ti.types.ndarray(), glow: ti.types.ndarray(),
-              wall: ti.types.ndarray()):
+              wall: ti.types.ndarray(), floor: ti.types.ndarray()):
         for k in range(256):
             self.colours[k] = ti.Vector([colours[k, 0], colours[k, 1], colours[k, 2]])
         for k in self.cover:
             self.cover[k] = cover[k]
         for k in self.glow:
             self.glow[k] = glow[k]
-        for i, j in self.wall:
-            self.wall[i, j] = wall[i, j]
+        for j, i in self.wall:
+            self.wall[j, i] = wall[j, i]
+        for j in self.floor:
+            self.floor[j] = floor[j]
 
     @ti.kernel
     def _draw(self, image: ti.types.ndarray(), nodes: ti.template(), node_count: ti.i32, pressure: ti.template(),
               velocity: ti.template(), profile: ti.types.ndarray(), puff: ti.f32, curves: ti.types.ndarray(),
               head_column: ti.f32, head_row: ti.f32, now: ti.i32):
-        for k in range(self.half):
-            r = (k + 0.5) / self.px_per_m
-            slope = self.surface.at(self.surface.slope, r)
-            row = self.limbus_row - self.surface.at(self.surface.height, r) * self.px_per_m
-            tilt = 1.0 / ti.sqrt(1.0 + slope * slope)
-            self.column[k] = ti.Vector([row, tilt, ti.max(puff * self.surface.at(profile, r), 0.0)])
-        for turn in range(self.down.turns):
-            first, after = self.down.bounds(turn)
+        for turn in range(self.out.turns):
+            first, after = self.out.bounds(turn)
             if first < after:
-                self.find(nodes, node_count, first, after)
-            for i in range(first, after):
-                for off in range(self.half):
-                    self.draw_section(image, i, off, pressure, velocity)
+                self.find(nodes, node_count, pressure, velocity, first, after)
+            for j in range(first, after):
+                r = (j + 0.5) / self.px_per_m
+                self.draw_section(image, j, ti.max(puff * self.surface.at(profile, r), 0.0))
         for turn in range(self.over.turns):
             first, after = self.over.bounds(turn)
             for k in range(first, ti.min(after, now + 1)):
                 self.draw_curves(image, curves, k, now)
-        for i, j in ti.ndrange(2 * MARKER_PX, 2 * MARKER_PX):
-            row = i + ti.cast(head_row, ti.i32) - MARKER_PX
-            column = j + ti.cast(head_column, ti.i32) - MARKER_PX
+        for i, j in ti.ndrange(2 * self.marker_px, 2 * self.marker_px):
+            row = i + ti.cast(head_row, ti.i32) + 1 - self.marker_px
+            column = j + ti.cast(head_column, ti.i32) + 1 - self.marker_px
             if row >= 0 and row < self.height and column >= 0 and column < self.width:
                 gone = ti.sqrt((column - head_column) ** 2 + (row - head_row) ** 2)
                 cover = ti.math.clamp(self.marker + 0.5 - gone, 0.0, 1.0)
@@ -222,66 +216,79 @@ class Particles:
                     put(image, row, column, blend(pixel(image, row, column), ti.Vector(TRACE), cover))
 
     @ti.func
-    def find(self, nodes: ti.template(), node_count, first, after):
-        """Write the nearest-node words of these rows."""
-        for i in range(first, after):
-            for j in range(self.half):
-                self.nearest[i, j] = ti.u32(EMPTY)
+    def find(self, nodes: ti.template(), node_count, pressure: ti.template(), velocity: ti.template(), first, after):
+        """Write the nearest-node words of these columns."""
+        for j in range(first, after):
+            for i in range(self.height):
+                self.nearest[j, i] = ti.u32(EMPTY)
         for n in range(node_count):
-            row = self.limbus_row - nodes[n][1] * self.px_per_m
-            top = ti.max(ti.cast(ti.ceil(row - self.reach - 0.5), ti.i32), first)
-            bottom = ti.min(ti.cast(ti.floor(row + self.reach - 0.5), ti.i32) + 1, after)
-            if top < bottom:
-                column = nodes[n][0] * self.px_per_m
-                for i in range(top, bottom):
-                    down = (i + 0.5 - row) ** 2
-                    side = ti.sqrt(ti.max(self.reach**2 - down, 0.0))
-                    left = ti.max(ti.cast(ti.ceil(column - side - 0.5), ti.i32), 0)
-                    right = ti.min(ti.cast(ti.floor(column + side - 0.5), ti.i32) + 1, self.half)
-                    for j in range(left, right):
-                        far = down + (j + 0.5 - column) ** 2
-                        word = (ti.cast(far * self.distance_steps, ti.u32) << NODE_BITS) | ti.cast(n, ti.u32)
-                        self.nearest[i, j] = ti.min(self.nearest[i, j], word)
+            column = nodes[n][0] * self.px_per_m
+            left = ti.max(ti.cast(ti.ceil(column - self.reach - 0.5), ti.i32), first)
+            right = ti.min(ti.cast(ti.floor(column + self.reach - 0.5), ti.i32) + 1, after)
+            if left < right:
+                row = self.limbus_row - nodes[n][1] * self.px_per_m
+                value = 0.0 * row
+                if ti.static(self.by_speed):
+                    value = velocity[n].norm()
+                else:
+                    value = pressure[n]
+                share = ti.math.clamp((value - self.low) / self.span, 0.0, 1.0)
+                shade = ti.cast(ti.math.clamp(ti.cast(share * 255.0 + 0.5, ti.i32), 0, 255), ti.u32)
+                for j in range(left, right):
+                    aside = (j + 0.5 - column) ** 2
+                    down = ti.sqrt(ti.max(self.reach**2 - aside, 0.0))
+                    top = ti.max(ti.cast(ti.ceil(row - down - 0.5), ti.i32), 0)
+                    bottom = ti.min(ti.cast(ti.floor(row + down - 0.5), ti.i32) + 1, self.height)
+                    for i in range(top, bottom):
+                        far = aside + (i + 0.5 - row) ** 2
+                        word = (ti.cast(far * self.distance_steps, ti.u32) << SHADE_BITS) | shade
+                        self.nearest[j, i] = ti.min(self.nearest[j, i], word)
 
     @ti.func
-    def draw_section(self, image: ti.template(), i, off, pressure: ti.template(), velocity: ti.template()):
-        """The pixel in row i, `off` columns from the axis, and its mirror image, where jet, liquid or membrane show."""
-        surface_row, tilt, load = self.column[off]
-        depth = i + 0.5 - surface_row
-        line = self.line + 0.5 - abs(depth) * tilt
-        wall = self.wall[i, off]
-        if wall < 255:
-            colour = ti.Vector(BACKGROUND) * 1.0
-            shown = False
-            if depth < 0.0:
-                if load > 1e-3:
-                    over = ti.min(-depth, self.height)
-                    k = ti.cast(over, ti.i32)
-                    glow = self.glow[k] + (over - k) * (self.glow[k + 1] - self.glow[k])
-                    colour = blend(colour, ti.Vector(JET), load * glow)
-                    shown = True
-            else:
-                word = self.nearest[i, off]
+    def draw_section(self, image: ti.template(), j, load):
+        """The j-th column from the axis and its mirror image, where jet, liquid or membrane show."""
+        r = (j + 0.5) / self.px_per_m
+        slope = self.surface.at(self.surface.slope, r)
+        row = self.limbus_row - self.surface.at(self.surface.height, r) * self.px_per_m - 0.5
+        tilt = 1.0 / ti.sqrt(1.0 + slope * slope)
+        line = 0.0
+        if j < self.rim:
+            line = self.line + 0.5
+        surface = self.row_from(row)
+        begin = self.row_from(row - line / tilt)
+        end = ti.max(self.row_from(row + line / tilt), self.floor[j])
+        if load > 1e-3:
+            begin = 0
+        for i in range(begin, surface):
+            over = ti.min(row - i, self.height)
+            k = ti.cast(over, ti.i32)
+            glow = self.glow[k] + (over - k) * (self.glow[k + 1] - self.glow[k])
+            colour = blend(1.0 * ti.Vector(BACKGROUND), ti.Vector(JET), load * glow)
+            self.put_both(image, i, j, blend(colour, ti.Vector(MEMBRANE), ti.math.clamp(line - over * tilt, 0.0, 1.0)))
+        for i in range(surface, end):
+            word = self.nearest[j, i]
+            membrane = ti.math.clamp(line - (i - row) * tilt, 0.0, 1.0)
+            if word != ti.u32(EMPTY) or membrane > 0.0:
+                colour = 1.0 * ti.Vector(BACKGROUND)
                 if word != ti.u32(EMPTY):
-                    n = ti.cast(word & ti.u32(MAX_NODES - 1), ti.i32)
-                    value = 0.0 * depth
-                    if ti.static(self.by_speed):
-                        value = velocity[n].norm()
-                    else:
-                        value = pressure[n]
-                    share = ti.math.clamp((value - self.low) / self.span, 0.0, 1.0)
-                    tint = self.colours[ti.math.clamp(ti.cast(share * 255.0 + 0.5, ti.i32), 0, 255)]
-                    cover = self.cover[ti.cast(word >> NODE_BITS, ti.i32)]
+                    tint = self.colours[ti.cast(word & ti.u32(255), ti.i32)]
+                    cover = self.cover[ti.cast(word >> (32 - COVER_BITS), ti.i32)]
                     colour = blend(FILL * tint + ti.Vector(FILL_FLOOR), tint, cover)
-                    shown = True
-            if line > 0.0 and off < self.rim:
-                colour = blend(colour, ti.Vector(MEMBRANE), ti.min(line, 1.0))
-                shown = True
-            if shown:
-                if wall > 0:
-                    colour = blend(colour, ti.Vector(WALL), wall / 255.0)
-                put(image, i, self.axis + off, colour)
-                put(image, i, self.axis - 1 - off, colour)
+                self.put_both(image, i, j, blend(colour, ti.Vector(MEMBRANE), membrane))
+
+    @ti.func
+    def row_from(self, row):
+        """The first row of the image at or below `row`."""
+        return ti.math.clamp(ti.cast(ti.ceil(row), ti.i32), 0, self.height)
+
+    @ti.func
+    def put_both(self, image: ti.template(), i, j, colour):
+        """Set a pixel of the j-th column from the axis and its mirror image, behind the rigid wall."""
+        wall = self.wall[j, i]
+        if wall < 255:
+            seen = blend(colour, ti.Vector(WALL), wall / 255.0)
+            put(image, i, self.axis + j, seen)
+            put(image, i, self.axis - 1 - j, seen)
 
     @ti.func
     def draw_curves(self, image: ti.template(), curves: ti.template(), k, now):
@@ -425,6 +432,13 @@ def draw_colour_bar(image: Image.Image, draw: ImageDraw.ImageDraw, scene, at: La
         draw.line([(x, top + height), (x, top + height + 3 * unit)], FAINT)
         draw.text((x, top + height + 4 * unit), f"{tick:.3g}", FAINT, label, anchor="ma")
         tick += step
+
+
+def floor_rows(wall: np.ndarray) -> np.ndarray:
+    """The row where the back begins in each column, 0 beyond the chamber; wall: coverage [columns, rows]."""
+    solid = wall == 255
+    top = solid & ~np.pad(solid, ((0, 0), (1, 0)))[:, :-1]
+    return np.where(top, np.arange(wall.shape[1]), 0).max(axis=1)
 
 
 def wall_cover(scene, at: Layout) -> np.ndarray:
