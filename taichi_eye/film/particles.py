@@ -196,16 +196,16 @@ class Particles:
               velocity: ti.template(), profile: ti.types.ndarray(), puff: ti.f32, curves: ti.types.ndarray(),
               head_column: ti.f32, head_row: ti.f32, now: ti.i32):
         for turn in range(self.out.turns):
-            first, after = self.out.bounds(turn)
-            if first < after:
+            if self.out.draws(turn):
+                first, after = self.out.first(turn), self.out.after(turn)
                 self.find(nodes, node_count, pressure, velocity, first, after)
-            for j in range(first, after):
-                r = (j + 0.5) / self.px_per_m
-                self.draw_section(image, j, ti.max(puff * self.surface.at(profile, r), 0.0))
+                for j in range(first, after):
+                    r = (j + 0.5) / self.px_per_m
+                    self.draw_section(image, j, ti.max(puff * self.surface.at(profile, r), 0.0))
         for turn in range(self.over.turns):
-            first, after = self.over.bounds(turn)
-            for k in range(first, ti.min(after, now + 1)):
-                self.draw_curves(image, curves, k, now)
+            if self.over.draws(turn):
+                for k in range(self.over.first(turn), ti.min(self.over.after(turn), now + 1)):
+                    self.draw_curves(image, curves, k, now)
         for i, j in ti.ndrange(2 * self.marker_px, 2 * self.marker_px):
             row = i + ti.cast(head_row, ti.i32) + 1 - self.marker_px
             column = j + ti.cast(head_column, ti.i32) + 1 - self.marker_px

@@ -148,57 +148,67 @@ class Scheimpflug:
     @ti.kernel
     def _render(self, image: ti.types.ndarray(), key: ti.u32, retreat: float, speck: float):
         for turn in range(self.out.turns):
-            first, after = self.out.bounds(turn)
-            for k in range(first, after):
-                self.look_behind(k, retreat)
+            if self.out.draws(turn):
+                for k in range(self.out.first(turn), self.out.after(turn)):
+                    self.look_behind(k, retreat)
         for turn in range(self.across.turns):
-            first, after = self.across.bounds(turn)
-            for j in range(first, after):
-                row, thickness, tilt = self.column(j, retreat)
-                stroma, line = self.light[j]
-                loss = (STROMA_TOP - STROMA_BOTTOM) / (STROMA_TOP - CHAMBER) * stroma / thickness
-                begin = self.row_from(row - PROFILE_BEFORE_PX / tilt)
-                end = ti.max(self.row_from(row + thickness + PROFILE_AFTER_PX / tilt), begin)
-                k, share = self.surface.between(abs(j - self.apex_column) * self.pixel_x)
-                lit = ti.min(self.behind_from[k], self.behind_from[k + 1])
-                for i in range(begin):
-                    image[i, j] = self.even[self.draw(j, i, key)][0]
-                for i in range(begin, end):
-                    depth = i - row
-                    behind = 0.0
-                    if i >= lit:
-                        behind = self.behind[k, i] + share * (self.behind[k + 1, i] - self.behind[k, i])
-                    # step across the anterior surface, the line's excess, step across the posterior surface
-                    edge = look_up(self.edge, depth * tilt)
-                    inside = look_up(self.posterior, (depth - thickness) * tilt)
-                    body = stroma - loss * ti.math.clamp(depth, 0.0, thickness)
-                    level = AIR + edge[0] * (CHAMBER - AIR + inside * body + (1.0 - inside) * behind) + edge[1] * line
-                    if abs(j - speck) < 8.0:
-                        off = ((j - speck) ** 2 + (depth - LINE_DEPTH_PX) ** 2) / (SPECK_SIGMA_PX * SPECK_SIGMA_PX)
-                        level += SPECK_LEVEL * ti.exp(-0.5 * off)
-                    image[i, j] = self.sensed(level, j, i, key)
-                dark = ti.math.clamp(lit, end, self.height)
-                for i in range(end, dark):
-                    image[i, j] = self.even[self.draw(j, i, key)][1]
-                for i in range(dark, self.height):
-                    behind = self.behind[k, i] + share * (self.behind[k + 1, i] - self.behind[k, i])
-                    image[i, j] = self.sensed(CHAMBER + behind, j, i, key)
+            if self.across.draws(turn):
+                for j in range(self.across.first(turn), self.across.after(turn)):
+                    self.draw_column(image, j, key, retreat, speck)
 
     @ti.kernel
     def _render_plain(self, image: ti.types.ndarray(), retreat: float):
         for turn in range(self.across.turns):
-            first, after = self.across.bounds(turn)
-            for j in range(first, after):
-                row, thickness, _ = self.column(j, retreat)
-                begin = self.row_from(row - 0.5)
-                end = ti.max(self.row_from(row + thickness + 0.5), begin)
-                for i in range(begin):
-                    image[i, j] = ti.u8(0)
-                for i in range(begin, end):
-                    cover = ti.math.clamp(i - row + 0.5, 0.0, 1.0) - ti.math.clamp(i - row - thickness + 0.5, 0.0, 1.0)
-                    image[i, j] = ti.cast(PLAIN_BAND * cover + 0.5, ti.u8)
-                for i in range(end, self.height):
-                    image[i, j] = ti.u8(0)
+            if self.across.draws(turn):
+                for j in range(self.across.first(turn), self.across.after(turn)):
+                    self.draw_band(image, j, retreat)
+
+    @ti.func
+    def draw_column(self, image: ti.template(), j, key, retreat, speck):
+        """Air, cornea, chamber, iris and lens of column j."""
+        row, thickness, tilt = self.column(j, retreat)
+        stroma, line = self.light[j]
+        loss = (STROMA_TOP - STROMA_BOTTOM) / (STROMA_TOP - CHAMBER) * stroma / thickness
+        begin = self.row_from(row - PROFILE_BEFORE_PX / tilt)
+        end = ti.max(self.row_from(row + thickness + PROFILE_AFTER_PX / tilt), begin)
+        k, share = self.surface.between(abs(j - self.apex_column) * self.pixel_x)
+        lit = ti.min(self.behind_from[k], self.behind_from[k + 1])
+        for i in range(begin):
+            image[i, j] = self.even[self.draw(j, i, key)][0]
+        for i in range(begin, end):
+            depth = i - row
+            behind = 0.0
+            if i >= lit:
+                behind = self.behind[k, i] + share * (self.behind[k + 1, i] - self.behind[k, i])
+            # step across the anterior surface, the line's excess, step across the posterior surface
+            edge = look_up(self.edge, depth * tilt)
+            inside = look_up(self.posterior, (depth - thickness) * tilt)
+            body = stroma - loss * ti.math.clamp(depth, 0.0, thickness)
+            level = AIR + edge[0] * (CHAMBER - AIR + inside * body + (1.0 - inside) * behind) + edge[1] * line
+            if abs(j - speck) < 8.0:
+                off = ((j - speck) ** 2 + (depth - LINE_DEPTH_PX) ** 2) / (SPECK_SIGMA_PX * SPECK_SIGMA_PX)
+                level += SPECK_LEVEL * ti.exp(-0.5 * off)
+            image[i, j] = self.sensed(level, j, i, key)
+        dark = ti.math.clamp(lit, end, self.height)
+        for i in range(end, dark):
+            image[i, j] = self.even[self.draw(j, i, key)][1]
+        for i in range(dark, self.height):
+            behind = self.behind[k, i] + share * (self.behind[k + 1, i] - self.behind[k, i])
+            image[i, j] = self.sensed(CHAMBER + behind, j, i, key)
+
+    @ti.func
+    def draw_band(self, image: ti.template(), j, retreat):
+        """The band between the two edges in column j, and nothing else."""
+        row, thickness, _ = self.column(j, retreat)
+        begin = self.row_from(row - 0.5)
+        end = ti.max(self.row_from(row + thickness + 0.5), begin)
+        for i in range(begin):
+            image[i, j] = ti.u8(0)
+        for i in range(begin, end):
+            cover = ti.math.clamp(i - row + 0.5, 0.0, 1.0) - ti.math.clamp(i - row - thickness + 0.5, 0.0, 1.0)
+            image[i, j] = ti.cast(PLAIN_BAND * cover + 0.5, ti.u8)
+        for i in range(end, self.height):
+            image[i, j] = ti.u8(0)
 
     @ti.func
     def row_of(self, z, retreat):
