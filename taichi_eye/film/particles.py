@@ -99,7 +99,6 @@ class Particles:
         self.line = 1.7 * at.unit
         self.curve = 1.1 * at.unit
         self.marker = 4.4 * at.unit
-        self.marker_px = ceil(self.marker + 0.5) + 1
         self.left, self.top, self.right, self.bottom = at.plot
         self.ranges = plot_ranges(scene)
         self.peak_kpa = peak_load_kpa(scene)
@@ -142,7 +141,8 @@ class Particles:
             profile /= np.max(np.abs(state.puff_radial))
         curves, head, now = self.curve_columns(state)
         self._draw(image, state.nodes, state.node_count, state.pressure, state.velocity, profile.astype(np.float32),
-                   puff_kpa / self.peak_kpa, curves, head[0], head[1], now)
+                   puff_kpa / self.peak_kpa, curves, now)
+        self.mark(image, *head)
         self.label(image, state, puff_kpa)
         return image
 
@@ -160,6 +160,14 @@ class Particles:
         rows[:, 1] = np.interp(time, state.trace_time_ms, load)
         reached = min(state.trace_time_ms[-1] / self.ranges.time_ms, 1.0) * (self.right - self.left)
         return rows, (float(self.left + reached), float(apex[-1])), int(reached)
+
+    def mark(self, image: np.ndarray, column: float, row: float) -> None:
+        """A dot at the present, in place."""
+        size = ceil(self.marker + 0.5)
+        left, top = round(column) - size, round(row) - size
+        places = np.arange(2 * size + 1)
+        gone = np.hypot(left + places - column, (top + places - row)[:, None])
+        stamp(image, np.clip(self.marker + 0.5 - gone, 0.0, 1.0), top, left, TRACE)
 
     def row_of(self, value: np.ndarray, low: float, high: float) -> np.ndarray:
         share = (value - low) / (high - low)
@@ -194,7 +202,7 @@ class Particles:
     @ti.kernel
     def _draw(self, image: ti.types.ndarray(), nodes: ti.template(), node_count: ti.i32, pressure: ti.template(),
               velocity: ti.template(), profile: ti.types.ndarray(), puff: ti.f32, curves: ti.types.ndarray(),
-              head_column: ti.f32, head_row: ti.f32, now: ti.i32):
+              now: ti.i32):
         for turn in range(self.out.turns):
             if self.out.draws(turn):
                 first, after = self.out.first(turn), self.out.after(turn)
@@ -206,14 +214,6 @@ class Particles:
             if self.over.draws(turn):
                 for k in range(self.over.first(turn), ti.min(self.over.after(turn), now + 1)):
                     self.draw_curves(image, curves, k, now)
-        for i, j in ti.ndrange(2 * self.marker_px, 2 * self.marker_px):
-            row = i + ti.cast(head_row, ti.i32) + 1 - self.marker_px
-            column = j + ti.cast(head_column, ti.i32) + 1 - self.marker_px
-            if row >= 0 and row < self.height and column >= 0 and column < self.width:
-                gone = ti.sqrt((column - head_column) ** 2 + (row - head_row) ** 2)
-                cover = ti.math.clamp(self.marker + 0.5 - gone, 0.0, 1.0)
-                if cover > 0.0:
-                    put(image, row, column, blend(pixel(image, row, column), ti.Vector(TRACE), cover))
 
     @ti.func
     def find(self, nodes: ti.template(), node_count, pressure: ti.template(), velocity: ti.template(), first, after):
@@ -259,22 +259,32 @@ class Particles:
         end = ti.max(self.row_from(row + line / tilt), self.floor[j])
         if load > 1e-3:
             begin = 0
-        for i in range(begin, surface):
-            over = ti.min(row - i, self.height)
-            k = ti.cast(over, ti.i32)
-            glow = self.glow[k] + (over - k) * (self.glow[k + 1] - self.glow[k])
-            colour = blend(1.0 * ti.Vector(BACKGROUND), ti.Vector(JET), load * glow)
-            self.put_both(image, i, j, blend(colour, ti.Vector(MEMBRANE), ti.math.clamp(line - over * tilt, 0.0, 1.0)))
-        for i in range(surface, end):
-            word = self.nearest[j, i]
-            membrane = ti.math.clamp(line - (i - row) * tilt, 0.0, 1.0)
-            if word != ti.u32(EMPTY) or membrane > 0.0:
-                colour = 1.0 * ti.Vector(BACKGROUND)
-                if word != ti.u32(EMPTY):
-                    tint = self.colours[ti.cast(word & ti.u32(255), ti.i32)]
-                    cover = self.cover[ti.cast(word >> (32 - COVER_BITS), ti.i32)]
-                    colour = blend(FILL * tint + ti.Vector(FILL_FLOOR), tint, cover)
-                self.put_both(image, i, j, blend(colour, ti.Vector(MEMBRANE), membrane))
+        # one loop: each more would cost compile time, its branches cost little
+        for i in range(begin, end):
+            depth = i - row
+            membrane = ti.math.clamp(line - abs(depth) * tilt, 0.0, 1.0)
+            colour = 1.0 * ti.Vector(BACKGROUND)
+            wall = self.wall[j, i]
+            shown = membrane > 0.0
+            if i < surface:
+                over = ti.min(-depth, self.height)
+                k = ti.cast(over, ti.i32)
+                glow = self.glow[k] + (over - k) * (self.glow[k + 1] - self.glow[k])
+                colour = blend(colour, ti.Vector(JET), load * glow)
+                shown = True
+            elif self.nearest[j, i] != ti.u32(EMPTY):
+                word = self.nearest[j, i]
+                tint = self.colours[ti.cast(word & ti.u32(255), ti.i32)]
+                cover = self.cover[ti.cast(word >> (32 - COVER_BITS), ti.i32)]
+                colour = blend(FILL * tint + ti.Vector(FILL_FLOOR), tint, cover)
+                shown = True
+            if shown and wall < 255:
+                if membrane > 0.0:
+                    colour = blend(colour, ti.Vector(MEMBRANE), membrane)
+                if wall > 0:
+                    colour = blend(colour, ti.Vector(WALL), wall / 255.0)
+                put(image, i, self.axis + j, colour)
+                put(image, i, self.axis - 1 - j, colour)
 
     @ti.func
     def row_from(self, row):
@@ -282,29 +292,21 @@ class Particles:
         return ti.math.clamp(ti.cast(ti.ceil(row), ti.i32), 0, self.height)
 
     @ti.func
-    def put_both(self, image: ti.template(), i, j, colour):
-        """Set a pixel of the j-th column from the axis and its mirror image, behind the rigid wall."""
-        wall = self.wall[j, i]
-        if wall < 255:
-            seen = blend(colour, ti.Vector(WALL), wall / 255.0)
-            put(image, i, self.axis + j, seen)
-            put(image, i, self.axis - 1 - j, seen)
-
-    @ti.func
     def draw_curves(self, image: ti.template(), curves: ti.template(), k, now):
         """The k-th column of the plot: the load, shaded down to the axis, and the apex over it."""
-        for which, colour, strength, half_width in ti.static(((1, JET, 0.75, self.curve), (0, TRACE, 1.0, 1.5 * self.curve))):
-            here = curves[k, which]
-            slope = 0.5 * (curves[ti.min(k + 1, now), which] - curves[ti.max(k - 1, 0), which])
-            steep = ti.sqrt(1.0 + slope * slope)
-            top = ti.max(ti.cast(ti.ceil(here - (half_width + 0.5) * steep), ti.i32), self.top)
-            bottom = ti.min(ti.cast(ti.floor(here + (half_width + 0.5) * steep), ti.i32), self.bottom)
-            if ti.static(which == 1):
-                for i in range(ti.max(ti.cast(ti.floor(here), ti.i32) + 1, self.top), self.bottom + 1):
-                    put(image, i, self.left + k, blend(pixel(image, i, self.left + k), ti.Vector(JET), 0.10))
-            for i in range(top, bottom + 1):
-                cover = strength * ti.math.clamp(half_width + 0.5 - abs(i - here) / steep, 0.0, 1.0)
-                put(image, i, self.left + k, blend(pixel(image, i, self.left + k), ti.Vector(colour), cover))
+        here = ti.Vector([curves[k, 0], curves[k, 1]])
+        before = ti.max(k - 1, 0)
+        after = ti.min(k + 1, now)
+        slope = 0.5 * ti.Vector([curves[after, 0] - curves[before, 0], curves[after, 1] - curves[before, 1]])
+        tilt = 1.0 / ti.sqrt(1.0 + slope * slope)
+        half = ti.Vector([1.5 * self.curve + 0.5, self.curve + 0.5])
+        for i in range(ti.max(ti.cast((here - half / tilt).min(), ti.i32), self.top), self.bottom + 1):
+            cover = ti.math.clamp(half - abs(i - here) * tilt, 0.0, 1.0)
+            colour = pixel(image, i, self.left + k)
+            if i > here[1]:
+                colour = blend(colour, ti.Vector(JET), 0.10)
+            colour = blend(blend(colour, ti.Vector(JET), 0.75 * cover[1]), ti.Vector(TRACE), cover[0])
+            put(image, i, self.left + k, colour)
 
 
 @ti.func
@@ -315,9 +317,9 @@ def pixel(image: ti.template(), i, j):
 
 @ti.func
 def put(image: ti.template(), i, j, colour):
-    """Set a pixel."""
+    """Set a pixel; every colour is blended from colours, so none is out of range."""
     for c in ti.static(range(3)):
-        image[i, j, c] = ti.cast(ti.math.clamp(colour[c] + 0.5, 0.0, 255.0), ti.u8)
+        image[i, j, c] = ti.cast(colour[c] + 0.5, ti.u8)
 
 
 @ti.func

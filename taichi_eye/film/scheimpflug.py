@@ -73,11 +73,10 @@ class Scheimpflug:
         self.interval_ms = camera.frame_interval_ms
         self.atlas = GlyphAtlas(max(8, round(0.065 * self.height))) if camera.stamp else None
 
-        edge, posterior, line_stroma = edge_profiles()
+        profile, line_stroma = edge_profiles()
         objects = scenery()
         quantile = gaussian_table() * camera.noise
-        self.edge = ti.Vector.field(2, ti.f32, len(edge))
-        self.posterior = ti.field(ti.f32, len(posterior))
+        self.profile = ti.Vector.field(3, ti.f32, len(profile))
         self.light = ti.Vector.field(2, ti.f32, self.width)       # on stroma and line
         self.scenery = ti.Vector.field(2, ti.f32, objects.shape[:2])
         self.quantile = ti.field(ti.f32, len(quantile))
@@ -87,7 +86,7 @@ class Scheimpflug:
         self.behind = ti.field(ti.f32, (self.surface.columns, self.height))
         self.behind_from = ti.field(ti.i32, self.surface.columns)
         self.across, self.out = Strips(self.width), Strips(self.surface.columns)
-        self._load(edge, posterior, self._lights(camera, line_stroma), objects, quantile,
+        self._load(profile, self._lights(camera, line_stroma), objects, quantile,
                    np.stack([grey_levels(level, quantile) for level in (AIR, CHAMBER)], axis=-1))
 
     def render(self, state: FrameState, fresh: bool = True) -> np.ndarray:
@@ -114,18 +113,18 @@ class Scheimpflug:
         return np.column_stack([stroma, camera.epithelium * np.maximum(line, 0.0)])
 
     @ti.kernel
-    def _load(self, edge: ti.types.ndarray(), posterior: ti.types.ndarray(), light: ti.types.ndarray(),
-              objects: ti.types.ndarray(), quantile: ti.types.ndarray(), even: ti.types.ndarray()):
-        for k in range(edge.shape[0]):
-            self.edge[k], self.posterior[k] = ti.Vector([edge[k, 0], edge[k, 1]]), posterior[k]
+    def _load(self, profile: ti.types.ndarray(), light: ti.types.ndarray(), objects: ti.types.ndarray(),
+              quantile: ti.types.ndarray(), even: ti.types.ndarray()):
+        for k in range(profile.shape[0]):
+            self.profile[k] = ti.Vector([profile[k, 0], profile[k, 1], profile[k, 2]])
         for i, k in ti.ndrange(objects.shape[0], objects.shape[1]):
             self.scenery[i, k] = ti.Vector([objects[i, k, 0], objects[i, k, 1]])
         for k in range(quantile.shape[0]):
             self.quantile[k], self.even[k] = quantile[k], ti.Vector([even[k, 0], even[k, 1]])
-        for j, i in self.mixed:
-            self.mixed[j, i] = hash_u32(ti.cast(i * self.width + j, ti.u32))
-        for j in self.light:
+        for j in range(self.width):
             self.light[j] = ti.Vector([light[j, 0], light[j, 1]])
+            for i in range(self.height):
+                self.mixed[j, i] = hash_u32(ti.cast(i * self.width + j, ti.u32))
 
     def _speck_column(self, frame: int) -> float:
         """Column of this frame's speck; far outside where it has none."""
@@ -173,42 +172,39 @@ class Scheimpflug:
         end = ti.max(self.row_from(row + thickness + PROFILE_AFTER_PX / tilt), begin)
         k, share = self.surface.between(abs(j - self.apex_column) * self.pixel_x)
         lit = ti.min(self.behind_from[k], self.behind_from[k + 1])
-        for i in range(begin):
-            image[i, j] = self.even[self.draw(j, i, key)][0]
-        for i in range(begin, end):
-            depth = i - row
-            behind = 0.0
-            if i >= lit:
-                behind = self.behind[k, i] + share * (self.behind[k + 1, i] - self.behind[k, i])
-            # step across the anterior surface, the line's excess, step across the posterior surface
-            edge = look_up(self.edge, depth * tilt)
-            inside = look_up(self.posterior, (depth - thickness) * tilt)
-            body = stroma - loss * ti.math.clamp(depth, 0.0, thickness)
-            level = AIR + edge[0] * (CHAMBER - AIR + inside * body + (1.0 - inside) * behind) + edge[1] * line
-            if abs(j - speck) < 8.0:
-                off = ((j - speck) ** 2 + (depth - LINE_DEPTH_PX) ** 2) / (SPECK_SIGMA_PX * SPECK_SIGMA_PX)
-                level += SPECK_LEVEL * ti.exp(-0.5 * off)
-            image[i, j] = self.sensed(level, j, i, key)
-        dark = ti.math.clamp(lit, end, self.height)
-        for i in range(end, dark):
-            image[i, j] = self.even[self.draw(j, i, key)][1]
-        for i in range(dark, self.height):
-            behind = self.behind[k, i] + share * (self.behind[k + 1, i] - self.behind[k, i])
-            image[i, j] = self.sensed(CHAMBER + behind, j, i, key)
+        dark = ti.max(lit, end)
+        # one loop: each more would cost compile time, its branches cost little
+        for i in range(self.height):
+            number = ti.cast(hash_u32(self.mixed[j, i] ^ key) >> 20, ti.i32)
+            if i < begin:
+                image[i, j] = self.even[number][0]
+            elif i >= end and i < dark:
+                image[i, j] = self.even[number][1]
+            else:
+                behind = 0.0
+                if i >= lit:
+                    behind = self.behind[k, i] + share * (self.behind[k + 1, i] - self.behind[k, i])
+                level = CHAMBER + behind
+                if i < end:
+                    # step across the anterior surface, the line's excess, step across the posterior surface
+                    depth = i - row
+                    step, excess, _ = self.look_up(depth * tilt)
+                    inside = self.look_up((depth - thickness) * tilt)[2]
+                    body = stroma - loss * ti.math.clamp(depth, 0.0, thickness)
+                    level = AIR + step * (CHAMBER - AIR + inside * body + (1.0 - inside) * behind) + excess * line
+                    if abs(j - speck) < 8.0:
+                        off = ((j - speck) ** 2 + (depth - LINE_DEPTH_PX) ** 2) / (SPECK_SIGMA_PX * SPECK_SIGMA_PX)
+                        level += SPECK_LEVEL * ti.exp(-0.5 * off)
+                noise = ti.sqrt(NOISE_FLOOR + NOISE_GAIN * level) * self.quantile[number]
+                image[i, j] = ti.cast(ti.math.clamp(level + noise + 0.5, 0.0, 255.0), ti.u8)
 
     @ti.func
     def draw_band(self, image: ti.template(), j, retreat):
         """The band between the two edges in column j, and nothing else."""
         row, thickness, _ = self.column(j, retreat)
-        begin = self.row_from(row - 0.5)
-        end = ti.max(self.row_from(row + thickness + 0.5), begin)
-        for i in range(begin):
-            image[i, j] = ti.u8(0)
-        for i in range(begin, end):
+        for i in range(self.height):
             cover = ti.math.clamp(i - row + 0.5, 0.0, 1.0) - ti.math.clamp(i - row - thickness + 0.5, 0.0, 1.0)
             image[i, j] = ti.cast(PLAIN_BAND * cover + 0.5, ti.u8)
-        for i in range(end, self.height):
-            image[i, j] = ti.u8(0)
 
     @ti.func
     def row_of(self, z, retreat):
@@ -221,46 +217,43 @@ class Scheimpflug:
         return ti.math.clamp(ti.cast(ti.ceil(row), ti.i32), 0, self.height)
 
     @ti.func
-    def draw(self, j, i, key):
-        """Number of the quantile that pixel (i, j) draws."""
-        return ti.cast(hash_u32(self.mixed[j, i] ^ key) >> 20, ti.i32)
-
-    @ti.func
-    def sensed(self, level, j, i, key):
-        """The pixel at this light, with the sensor's noise."""
-        noise = ti.sqrt(NOISE_FLOOR + NOISE_GAIN * level) * self.quantile[self.draw(j, i, key)]
-        return ti.cast(ti.math.clamp(level + noise + 0.5, 0.0, 255.0), ti.u8)
+    def look_up(self, offset):
+        """The cross-sections nearest to `offset` px from their edge, constant beyond their ends."""
+        t = ti.math.clamp((offset + PROFILE_BEFORE_PX) * STEPS_PER_PX + 0.5, 0.0, self.profile.shape[0] - 1.0)
+        return self.profile[ti.max(ti.cast(t, ti.i32), 0)]
 
     @ti.func
     def look_behind(self, k, retreat):
         """Light of iris and lens along the rays of the k-th radius, down the rows."""
         dent = ti.math.clamp((self.apex_rest - self.surface.height[0]) * 1e3, 0.0, 1.5)
         haze = self.lens * (HAZE_REST + (HAZE_DENTED - HAZE_REST) * dent)
+        top = self.row_from(self.row_of(self.surface.height[k], retreat))
         lit = self.height
-        begin = self.row_from(self.row_of(self.surface.height[k], retreat))
-        for i in range(begin):
-            self.behind[k, i] = 0.0
-        for n in range(RAYS - 1):
-            # between two rays place in the lit plane goes evenly with the row; straight on before the first, beyond the last
-            a = self.surface.behind[k, n]
-            b = self.surface.behind[k, n + 1]
-            row = self.row_of(a[0], retreat)
-            rate = (b - a) * (self.pixel_y / ti.max(a[0] - b[0], 1e-9))
-            end = self.height
-            if n < RAYS - 2:
-                end = ti.max(self.row_from(self.row_of(b[0], retreat)), begin)
-            for i in range(begin, end):
-                x = a[1] + (i - row) * rate[1]
-                z = a[2] + (i - row) * rate[2]
-                light = 0.0
-                front = (IRIS_HEIGHT_MM + IRIS_ABOVE_MM + IRIS_SLOPE * (abs(x) * 1e3 - IRIS_RIM_MM)) * 1e-3
-                if z < ti.max(front, LENS_ABOVE_MM * 1e-3):
-                    iris, lens = self.scenery_at(x, z)
-                    light = self.iris * iris + haze * lens
-                    lit = ti.min(lit, i)
-                self.behind[k, i] = light
-            begin = end
+        # between two rays place in the lit plane goes evenly with the row; straight on before the first, beyond the last
+        n = 0
+        row, following, start, rate = self.between_rays(k, n, retreat)
+        for i in range(self.height):
+            while n < RAYS - 2 and i >= following:
+                n += 1
+                row, following, start, rate = self.between_rays(k, n, retreat)
+            x, z = start + (i - row) * rate
+            light = 0.0
+            front = (IRIS_HEIGHT_MM + IRIS_ABOVE_MM + IRIS_SLOPE * (abs(x) * 1e3 - IRIS_RIM_MM)) * 1e-3
+            if i >= top and z < ti.max(front, LENS_ABOVE_MM * 1e-3):
+                iris, lens = self.scenery_at(x, z)
+                light = self.iris * iris + haze * lens
+                lit = ti.min(lit, i)
+            self.behind[k, i] = light
         self.behind_from[k] = lit
+
+    @ti.func
+    def between_rays(self, k, n, retreat):
+        """Rows of the n-th ray of the k-th radius and of the next, the (x, z) that the first shows, and how it goes with the row."""
+        a = self.surface.behind[k, n]
+        b = self.surface.behind[k, n + 1]
+        rate = (b - a) * (self.pixel_y / ti.max(a[0] - b[0], 1e-9))
+        return (self.row_of(a[0], retreat), self.row_of(b[0], retreat), ti.Vector([a[1], a[2]]),
+                ti.Vector([rate[1], rate[2]]))
 
     @ti.func
     def scenery_at(self, x, z):
@@ -275,24 +268,17 @@ class Scheimpflug:
                 + q * ((1.0 - p) * self.scenery[i, k + 1] + p * self.scenery[i + 1, k + 1]))
 
 
-@ti.func
-def look_up(table: ti.template(), offset):
-    """The entry of a cross-section table nearest to `offset` px from its edge, constant beyond its ends."""
-    t = ti.math.clamp((offset + PROFILE_BEFORE_PX) * STEPS_PER_PX + 0.5, 0.0, table.shape[0] - 1.0)
-    return table[ti.max(ti.cast(t, ti.i32), 0)]
-
-
 def grey_levels(level: float, quantile: np.ndarray) -> np.ndarray:
     """What the sensor reads of an even `level`, by quantile of its noise, uint8."""
     noise = np.sqrt(NOISE_FLOOR + NOISE_GAIN * level) * quantile
     return np.clip(level + noise + 0.5, 0.0, 255.0).astype(np.uint8)
 
 
-def edge_profiles() -> tuple[np.ndarray, np.ndarray, float]:
+def edge_profiles() -> tuple[np.ndarray, float]:
     """Cross-sections tabulated over the distance from an edge along its normal, -10..14 px in 1/64 px.
 
-    Returns the anterior step and line excess, shape [n, 2], the posterior step (1 inside the stroma, 0
-    behind), shape [n], and the share of the stroma's brightness under the peak of the line. The anterior
+    Returns the anterior step, the line's excess and the posterior step (1 inside the stroma, 0 behind), shape
+    [n, 3], and the share of the stroma's brightness under the peak of the line. The anterior
     table is shifted so that on the axis half the rise to the peak lies on the surface itself.
     """
     offset = np.arange(-PROFILE_BEFORE_PX * STEPS_PER_PX, PROFILE_AFTER_PX * STEPS_PER_PX + 1) / STEPS_PER_PX
@@ -307,9 +293,8 @@ def edge_profiles() -> tuple[np.ndarray, np.ndarray, float]:
     for _ in range(60):
         middle = 0.5 * (below + above)
         below, above = (middle, above) if rise(middle) < 0.5 * rise(LINE_DEPTH_PX) else (below, middle)
-    edge = np.array([(step((d + below) / RISE_SIGMA_PX), bump(d + below)) for d in offset])
-    posterior = np.array([1.0 - step(d / POSTERIOR_SIGMA_PX) for d in offset])
-    return edge, posterior, share
+    profile = [(step((d + below) / RISE_SIGMA_PX), bump(d + below), 1.0 - step(d / POSTERIOR_SIGMA_PX)) for d in offset]
+    return np.array(profile), share
 
 
 def step(u: float) -> float:
