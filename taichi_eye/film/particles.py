@@ -109,6 +109,8 @@ class Particles:
         self.nearest = ti.field(ti.u32, (self.half, self.height))
         self.wall = ti.field(ti.u8, (self.half, self.height))
         self.floor = ti.field(ti.i32, self.half)
+        self.column = ti.Vector.field(3, real(), self.half)       # row of the cornea, its tilt, the load there
+        self.rows = ti.Vector.field(2, ti.i32, self.half)         # that may show liquid: the first, and after the last
         self.colours = ti.Vector.field(3, ti.f32, 256)
         self.cover = ti.field(ti.f32, COVERS)             # of a disc, by the distance in a nearest-node word
         self.glow = ti.field(ti.f32, self.height + 2)     # of the jet, by rows over the cornea
@@ -196,6 +198,7 @@ class Particles:
             self.glow[k] = glow[k]
         for j, i in self.wall:
             self.wall[j, i] = wall[j, i]
+            self.nearest[j, i] = ti.u32(EMPTY)
         for j in self.floor:
             self.floor[j] = floor[j]
 
@@ -206,10 +209,11 @@ class Particles:
         for turn in range(self.out.turns):
             if self.out.draws(turn):
                 first, after = self.out.first(turn), self.out.after(turn)
+                for j in range(first, after):
+                    self.set_column(j, profile, puff)
                 self.find(nodes, node_count, pressure, velocity, first, after)
                 for j in range(first, after):
-                    r = (j + 0.5) / self.px_per_m
-                    self.draw_section(image, j, ti.max(puff * self.surface.at(profile, r), 0.0))
+                    self.draw_section(image, j)
         for turn in range(self.over.turns):
             if self.over.draws(turn):
                 for k in range(self.over.first(turn), ti.min(self.over.after(turn), now + 1)):
@@ -217,10 +221,7 @@ class Particles:
 
     @ti.func
     def find(self, nodes: ti.template(), node_count, pressure: ti.template(), velocity: ti.template(), first, after):
-        """Write the nearest-node words of these columns."""
-        for j in range(first, after):
-            for i in range(self.height):
-                self.nearest[j, i] = ti.u32(EMPTY)
+        """Write the nearest-node words of these columns, all empty before."""
         for n in range(node_count):
             column = nodes[n][0] * self.px_per_m
             left = ti.max(ti.cast(ti.ceil(column - self.reach - 0.5), ti.i32), first)
@@ -237,26 +238,33 @@ class Particles:
                 for j in range(left, right):
                     aside = (j + 0.5 - column) ** 2
                     down = ti.sqrt(ti.max(self.reach**2 - aside, 0.0))
-                    top = ti.max(ti.cast(ti.ceil(row - down - 0.5), ti.i32), 0)
-                    bottom = ti.min(ti.cast(ti.floor(row + down - 0.5), ti.i32) + 1, self.height)
+                    top = ti.max(ti.cast(ti.ceil(row - down - 0.5), ti.i32), self.rows[j][0])
+                    bottom = ti.min(ti.cast(ti.floor(row + down - 0.5), ti.i32) + 1, self.rows[j][1])
                     for i in range(top, bottom):
                         far = aside + (i + 0.5 - row) ** 2
                         word = (ti.cast(far * self.distance_steps, ti.u32) << SHADE_BITS) | shade
                         self.nearest[j, i] = ti.min(self.nearest[j, i], word)
 
     @ti.func
-    def draw_section(self, image: ti.template(), j, load):
-        """The j-th column from the axis and its mirror image, where jet, liquid or membrane show."""
+    def set_column(self, j, profile: ti.template(), puff):
+        """What the j-th column from the axis shows where."""
         r = (j + 0.5) / self.px_per_m
         slope = self.surface.at(self.surface.slope, r)
         row = self.limbus_row - self.surface.at(self.surface.height, r) * self.px_per_m - 0.5
         tilt = 1.0 / ti.sqrt(1.0 + slope * slope)
+        self.column[j] = ti.Vector([row, tilt, ti.max(puff * self.surface.at(profile, r), 0.0)])
+        self.rows[j] = ti.Vector([self.row_from(row), self.floor[j]])
+
+    @ti.func
+    def draw_section(self, image: ti.template(), j):
+        """The j-th column from the axis and its mirror image, where jet, liquid or membrane show; empties its words."""
+        row, tilt, load = self.column[j]
+        surface, floor = self.rows[j]
         line = 0.0
         if j < self.rim:
             line = self.line + 0.5
-        surface = self.row_from(row)
         begin = self.row_from(row - line / tilt)
-        end = ti.max(self.row_from(row + line / tilt), self.floor[j])
+        end = ti.max(self.row_from(row + line / tilt), floor)
         if load > 1e-3:
             begin = 0
         # one loop: each more would cost compile time, its branches cost little
@@ -274,6 +282,7 @@ class Particles:
                 shown = True
             elif self.nearest[j, i] != ti.u32(EMPTY):
                 word = self.nearest[j, i]
+                self.nearest[j, i] = ti.u32(EMPTY)
                 tint = self.colours[ti.cast(word & ti.u32(255), ti.i32)]
                 cover = self.cover[ti.cast(word >> (32 - COVER_BITS), ti.i32)]
                 colour = blend(FILL * tint + ti.Vector(FILL_FLOOR), tint, cover)
