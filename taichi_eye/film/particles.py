@@ -190,17 +190,19 @@ class Particles:
     @ti.kernel
     def _load(self, colours: ti.types.ndarray(), cover: ti.types.ndarray(), glow: ti.types.ndarray(),
               wall: ti.types.ndarray(), floor: ti.types.ndarray()):
-        for k in range(256):
-            self.colours[k] = ti.Vector([colours[k, 0], colours[k, 1], colours[k, 2]])
-        for k in self.cover:
-            self.cover[k] = cover[k]
-        for k in self.glow:
-            self.glow[k] = glow[k]
+        # as few loops as may be: each costs compile time
+        for k in range(ti.static(max(COVERS, self.height + 2, self.half))):
+            if k < 256:
+                self.colours[k] = ti.Vector([colours[k, 0], colours[k, 1], colours[k, 2]])
+            if k < COVERS:
+                self.cover[k] = cover[k]
+            if k < self.height + 2:
+                self.glow[k] = glow[k]
+            if k < self.half:
+                self.floor[k] = floor[k]
         for j, i in self.wall:
             self.wall[j, i] = wall[j, i]
             self.nearest[j, i] = ti.u32(EMPTY)
-        for j in self.floor:
-            self.floor[j] = floor[j]
 
     @ti.kernel
     def _draw(self, image: ti.types.ndarray(), nodes: ti.template(), node_count: ti.i32, pressure: ti.template(),

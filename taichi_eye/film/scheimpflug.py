@@ -115,16 +115,18 @@ class Scheimpflug:
     @ti.kernel
     def _load(self, profile: ti.types.ndarray(), light: ti.types.ndarray(), objects: ti.types.ndarray(),
               quantile: ti.types.ndarray(), even: ti.types.ndarray()):
-        for k in range(profile.shape[0]):
-            self.profile[k] = ti.Vector([profile[k, 0], profile[k, 1], profile[k, 2]])
+        # as few loops as may be: each costs compile time
+        for k in range(ti.static(max(self.profile.shape[0], self.quantile.shape[0], self.width))):
+            if k < self.profile.shape[0]:
+                self.profile[k] = ti.Vector([profile[k, 0], profile[k, 1], profile[k, 2]])
+            if k < self.quantile.shape[0]:
+                self.quantile[k], self.even[k] = quantile[k], ti.Vector([even[k, 0], even[k, 1]])
+            if k < self.width:
+                self.light[k] = ti.Vector([light[k, 0], light[k, 1]])
         for i, k in ti.ndrange(objects.shape[0], objects.shape[1]):
             self.scenery[i, k] = ti.Vector([objects[i, k, 0], objects[i, k, 1]])
-        for k in range(quantile.shape[0]):
-            self.quantile[k], self.even[k] = quantile[k], ti.Vector([even[k, 0], even[k, 1]])
-        for j in range(self.width):
-            self.light[j] = ti.Vector([light[j, 0], light[j, 1]])
-            for i in range(self.height):
-                self.mixed[j, i] = hash_u32(ti.cast(i * self.width + j, ti.u32))
+        for j, i in ti.ndrange(self.width, self.height):
+            self.mixed[j, i] = hash_u32(ti.cast(i * self.width + j, ti.u32))
 
     def _speck_column(self, frame: int) -> float:
         """Column of this frame's speck; far outside where it has none."""

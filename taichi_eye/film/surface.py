@@ -188,20 +188,21 @@ class Surface:
     @ti.func
     def trace(self, x):
         """Where (y) the ray enters that shows the posterior surface in column x."""
-        y0 = 0.0 * x
-        gap0 = self.enter(x, y0)[1]
-        y1 = self.flat_ratio * gap0 * self.sin_angle / self.cos_angle
-        ray = self.enter(x, y1)
-        for _ in range(SECANT_STEPS):
-            change = ray[1] - gap0
-            if abs(ray[1]) < TOLERANCE * self.thickness[0] or change == 0.0:
-                break
-            y2 = ti.max(y1 - ray[1] * (y1 - y0) / change, 0.0)
-            y0 = y1
-            gap0 = ray[1]
-            y1 = y2
-            ray = self.enter(x, y1)
-        return y1
+        y = 0.0 * x
+        y0 = y
+        gap0 = y
+        for n in range(SECANT_STEPS + 1):
+            gap = self.enter(x, y)[1]
+            onwards = self.flat_ratio * gap * self.sin_angle / self.cos_angle
+            if n > 0:
+                change = gap - gap0
+                if abs(gap) < TOLERANCE * self.thickness[0] or change == 0.0:
+                    break
+                onwards = ti.max(y - gap * (y - y0) / change, 0.0)
+            y0 = y
+            gap0 = gap
+            y = onwards
+        return y
 
 
 @ti.func
