@@ -13,7 +13,6 @@ from PIL import Image
 
 QUALITY = 20         # constant rate factor: sensor noise stays visible
 PRESET = "ultrafast"   # noise makes every frame costly: half the time of "veryfast" for a file twice the size
-PIPE_BYTES = 1 << 20   # a frame in few pieces: each costs a switch between feeder and encoder
 QUEUED_FRAMES = 16     # that may wait for the encoder while the simulation goes on
 
 
@@ -121,7 +120,7 @@ class FilmWriter:
         self._log = tempfile.TemporaryFile()
         # a session of its own: Ctrl-C stops the run, which then closes the film in order
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
-                                         stderr=self._log, start_new_session=True, pipesize=PIPE_BYTES)
+                                         stderr=self._log, start_new_session=True)
         self._feeder = threading.Thread(target=self._feed, daemon=True)
         self._feeder.start()
 
