@@ -122,6 +122,17 @@ def test_liquid_stays_over_the_back(eye):
     assert change[:int(back)].any() and not change[int(back) + 2:].any()
 
 
+def test_a_frame_keeps_nothing_of_the_one_before(eye):
+    eye.set_nodes([[1.0, 1.0], [2.0, 0.5]], 2000.0)
+    first = eye.view.render(eye.state)
+    eye.set_wall(eye.dented(0.9))
+    eye.set_nodes([[0.4, 1.2], [3.0, 0.2], [5.0, 0.1]], 500.0)
+    eye.view.render(eye.state)
+    eye.set_wall(eye.sphere())
+    eye.set_nodes([[1.0, 1.0], [2.0, 0.5]], 2000.0)
+    assert np.array_equal(eye.view.render(eye.state), first)
+
+
 @pytest.mark.parametrize("view, shape", [("scheimpflug", (200, 576)), ("particles", (320, 1152, 3)),
                                          ("both", (720, 1152, 3))])
 def test_views_have_their_announced_shape(synthetic_eye, view, shape):
