@@ -190,10 +190,10 @@ class Scheimpflug:
                 if i < end:
                     # step across the anterior surface, the line's excess, step across the posterior surface
                     depth = i - row
-                    step, excess, _ = self.look_up(depth * tilt)
+                    rise, excess, _ = self.look_up(depth * tilt)
                     inside = self.look_up((depth - thickness) * tilt)[2]
                     body = stroma - loss * ti.math.clamp(depth, 0.0, thickness)
-                    level = AIR + step * (CHAMBER - AIR + inside * body + (1.0 - inside) * behind) + excess * line
+                    level = AIR + rise * (CHAMBER - AIR + inside * body + (1.0 - inside) * behind) + excess * line
                     if abs(j - speck) < 8.0:
                         off = ((j - speck) ** 2 + (depth - LINE_DEPTH_PX) ** 2) / (SPECK_SIGMA_PX * SPECK_SIGMA_PX)
                         level += SPECK_LEVEL * ti.exp(-0.5 * off)
@@ -250,7 +250,7 @@ class Scheimpflug:
 
     @ti.func
     def between_rays(self, k, n, retreat):
-        """Rows of the n-th ray of the k-th radius and of the next, the (x, z) that the first shows, and how it goes with the row."""
+        """Rows of the n-th ray of the k-th radius and of the next, the (x, z) that the first shows, and its change per row."""
         a = self.surface.behind[k, n]
         b = self.surface.behind[k, n + 1]
         rate = (b - a) * (self.pixel_y / ti.max(a[0] - b[0], 1e-9))
