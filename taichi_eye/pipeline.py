@@ -135,18 +135,17 @@ class _Recorder:
         place, velocity, pressure, count = simulation.liquid() if needs_cloud(scene) else (None, None, None, 0)
         state = FrameState(
             time_ms=simulation.time_ms, wall=simulation.cornea.place, wall_count=simulation.wall_count,
-            nodes=place, node_count=count, pressure=pressure, velocity=velocity, trace_time_ms=np.array(traces["time_ms"]),
-            trace_apex_mm=np.array(traces["apex_displacement_mm"]), trace_puff_kpa=np.array(traces["puff_apex_kpa"]),
-            retreat_mm=retreat)
+            nodes=place, node_count=count, pressure=pressure, velocity=velocity, trace_time_ms=traces["time_ms"],
+            trace_apex_mm=traces["apex_displacement_mm"], trace_puff_kpa=traces["puff_apex_kpa"], retreat_mm=retreat)
         image = view.render(state)
         film.write(image, simulation.time_ms)
         wall = simulation.cornea.place.to_numpy()[:simulation.wall_count] / MM
         self.walls.append((simulation.time_ms, wall - [0.0, retreat]))
         if frame % self.stride == 0 or frame == scene.camera.frame_count - 1:
-            slit = image if view.kind == "scheimpflug" else view.scheimpflug_frame(state)
-            self.frames.append((simulation.time_ms, slit.copy()))
+            slit = view.scheimpflug_frame(state) if view.slit is None else view.slit
+            self.frames.append((simulation.time_ms, slit))
             if scene.output.gif and frame % (GIF_STRIDE * self.stride) == 0:
-                self.colour_frames.append(image.copy())
+                self.colour_frames.append(image)
         if self.paraview is not None:
             walls = simulation.wall_count
             self.paraview.add_frame(

@@ -16,13 +16,15 @@ class FilmView:
     """The view that scene.camera.view asks for: "scheimpflug", "particles" or "both" in one frame.
 
     "both" puts the Scheimpflug frame, every pixel doubled, over the particle view; the time then stands in
-    the upper one alone. All views share one `Surface`.
+    the upper one alone. All views share one `Surface`. slit: the Scheimpflug frame within the last one rendered, uint8
+    [height_px, width_px]; None where the view has none.
     """
 
     def __init__(self, scene):
         self.kind = scene.camera.view
         self.surface = Surface(scene)
         self.scheimpflug = Scheimpflug(scene, self.surface)
+        self.slit: np.ndarray | None = None
         self.particles = None
         if self.kind != "scheimpflug":
             stamped = scene.camera.stamp and self.kind == "particles"
@@ -38,18 +40,21 @@ class FilmView:
         return (below.height if self.kind == "particles" else below.height + 2 * height), below.width, 3
 
     def render(self, state: FrameState) -> np.ndarray:
-        """The frame at `state`, uint8, of shape `shape`."""
-        if self.kind == "scheimpflug":
-            return self.scheimpflug.render(state)
+        """The frame at `state`, uint8, of shape `shape`; a new array each time."""
         if self.kind == "particles":
             return self.particles.render(state)
-        above = self.scheimpflug.render(state)
+        self.slit = self.scheimpflug.render(state)
+        if self.kind == "scheimpflug":
+            return self.slit
         image = np.empty(self.shape, np.uint8)
-        split = 2 * above.shape[0]
-        # two pixels of three channels from each: six equal bytes in a row
-        doubled = image[:split].reshape(above.shape[0], 2, 6 * above.shape[1])
-        doubled[...] = np.repeat(above, 6, axis=1)[:, None]
-        image[split:] = self.particles.render(state, fresh=False)
+        height, width = self.slit.shape
+        # a pixel of three channels, doubled, is three pairs of equal bytes
+        pairs = self.slit * np.uint16(0x101)
+        doubled = image[:2 * height].reshape(height, 2, 6 * width)
+        for k in range(3):
+            doubled[:, 0].view(np.uint16)[:, k::3] = pairs
+        doubled[:, 1] = doubled[:, 0]
+        self.particles.render(state, fresh=False, out=image[2 * height:])
         return image
 
     def scheimpflug_frame(self, state: FrameState) -> np.ndarray:

@@ -53,7 +53,10 @@ class FilmWriter:
         self.close()
 
     def write(self, frame: np.ndarray, time_ms: float) -> None:
-        """Append one frame; with `png_dir` also as frame_040_09.26ms.png there (number from 0, its time)."""
+        """Append one frame; with `png_dir` also as frame_040_09.26ms.png there (number from 0, its time).
+
+        The frame is not copied: from here on it must not change.
+        """
         if frame.dtype != np.uint8 or frame.ndim not in (2, 3) or (frame.ndim == 3 and frame.shape[2] != 3):
             raise ValueError(f"a frame is uint8 [H, W] or [H, W, 3], not {frame.dtype} {frame.shape}")
         if self._process is None:
@@ -62,12 +65,14 @@ class FilmWriter:
             raise ValueError(f"frame {self.frame_count} has shape {frame.shape}, the film {self._shape}")
         if self.png_dir is not None:
             Image.fromarray(frame).save(self.png_dir / frame_name(self.frame_count, time_ms))
-        pad = [(0, frame.shape[0] % 2), (0, frame.shape[1] % 2)] + [(0, 0)] * (frame.ndim - 2)
         if self._broken is not None:
             self._process.wait()
             reason = f"the film encoder stopped at frame {self.frame_count}: {self._log_end()}"
             raise EncoderError(reason) from self._broken
-        self._queue.put(np.ascontiguousarray(np.pad(frame, pad, mode="edge")))
+        if frame.shape[0] % 2 or frame.shape[1] % 2:
+            pad = [(0, frame.shape[0] % 2), (0, frame.shape[1] % 2)] + [(0, 0)] * (frame.ndim - 2)
+            frame = np.pad(frame, pad, mode="edge")
+        self._queue.put(np.ascontiguousarray(frame))
         self.frame_count += 1
 
     def _feed(self) -> None:

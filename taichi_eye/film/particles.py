@@ -1,10 +1,10 @@
 """The technical view: the fluid's nodes coloured by pressure or speed, the membrane, the puff and the apex
 trace.
 
-What never changes (chamber walls, axes, labels, colour bar) is rasterised once; a kernel draws the rest
-from the current fields. Every pixel takes the node nearest to it, found by an integer minimum over
-(distance, node), which does not depend on the order of threads. The section is drawn for r >= 0 and
-mirrored.
+What never changes (chamber walls, axes, labels, colour bar) is rasterised once; a kernel draws over it
+what the current fields show and nothing else. Every pixel takes the node nearest to it, found by an integer
+minimum over (distance, colour), which does not depend on the order of nodes. The section is drawn for
+r >= 0 and mirrored, column by column from the puff down to the back.
 
 The colour limits are those of the scene, fixed for the whole film: pressure from the IOP to the IOP plus a
 quarter of the puff's peak (a sealed chamber gains about a fifth of it), speed from 0 to 0.03 m/s per kPa of
@@ -25,6 +25,7 @@ from taichi_eye.units import KPA, MM, MMHG, MS
 
 from .glyphs import GlyphAtlas, font, stamp
 from .state import FrameState
+from .strips import Strips
 from .surface import Surface
 
 BACKGROUND = (13, 17, 26)
@@ -36,8 +37,10 @@ DARKEST = 0.12            # start of the colour map: its first colours drown in 
 FILL = 0.34               # brightness of the space between nodes, of their colour
 FILL_FLOOR = (8.0, 10.0, 16.0)
 EMPTY = 0xFFFFFFFF
-NODE_BITS = 20            # of the nearest-node word; the distance takes the other 12
-MAX_NODES = 1 << NODE_BITS
+SHADE_BITS = 8            # of the nearest-node word; the distance takes the other 24
+DISTANCES = 1 << (32 - SHADE_BITS)
+COVER_BITS = 12           # of the distance, that tell what a disc covers
+COVERS = 1 << COVER_BITS
 
 
 @dataclass(frozen=True)
@@ -92,7 +95,7 @@ class Particles:
         spacing_px = scene.numerics.spacing_mm * at.scale
         self.disc = max(0.44 * spacing_px, 0.6)
         self.reach = max(0.80 * spacing_px, 1.5)
-        self.distance_steps = 4095.0 / (self.reach + 1.0) ** 2
+        self.distance_steps = (DISTANCES - 1.0) / (self.reach + 1.0) ** 2
         self.line = 1.7 * at.unit
         self.curve = 1.1 * at.unit
         self.marker = 4.4 * at.unit
@@ -102,26 +105,36 @@ class Particles:
         self.radii = np.arange(self.surface.count) * self.surface.spacing
         self.puff_profile = Puff.from_scene(scene).radial(self.radii)
 
-        self.nearest = ti.field(ti.u32, (self.height, self.half))
-        self.column = ti.Vector.field(3, real(), self.half)
-        self.base = ti.Vector.field(3, ti.u8, (self.height, self.width))
-        self.wall = ti.field(ti.u8, (self.height, self.width))
-        self.colours = ti.Vector.field(3, real(), 256)
-        self._load(colour_table(scene), background(scene, at, self.limits, self.ranges), wall_cover(scene, at))
+        # by columns from the axis outwards, then rows
+        self.nearest = ti.field(ti.u32, (self.half, self.height))
+        self.wall = ti.field(ti.u8, (self.half, self.height))
+        self.floor = ti.field(ti.i32, self.half)
+        self.column = ti.Vector.field(3, real(), self.half)       # row of the cornea, its tilt, the load there
+        self.rows = ti.Vector.field(2, ti.i32, self.half)         # that may show liquid: the first, and after the last
+        self.colours = ti.Vector.field(3, ti.f32, 256)
+        self.cover = ti.field(ti.f32, COVERS)             # of a disc, by the distance in a nearest-node word
+        self.glow = ti.field(ti.f32, self.height + 2)     # of the jet, by rows over the cornea
+        self.out, self.over = Strips(self.half), Strips(self.right - self.left + 1)
+        wall = wall_cover(scene, at)
+        ground = background(scene, at, self.limits, self.ranges)
+        self.still = (ground + wall[..., None] / 255.0 * (np.array(WALL) - ground) + 0.5).astype(np.uint8)
+        distance = np.sqrt((np.arange(COVERS) + 0.5) * (DISTANCES / COVERS / self.distance_steps))
+        section = np.ascontiguousarray(wall[:, at.axis:at.axis + at.half].T)
+        self._load(colour_table(scene), np.clip(self.disc + 0.5 - distance, 0.0, 1.0),
+                   # an even beam, brighter where it stops on the cornea
+                   0.46 + 0.30 * np.exp(-np.arange(self.height + 2) / (0.25 * at.scale)), section, floor_rows(section))
         self.big = GlyphAtlas(max(8, round(21 * at.unit)))
         self.small = GlyphAtlas(max(7, round(13 * at.unit)), bold=True)
         self.stamped = stamped
 
-    def render(self, state: FrameState, fresh: bool = True) -> np.ndarray:
-        """The frame at `state`; `fresh` says that the surface tables have yet to be updated for it.
-
-        Raises ValueError where the state has more than 2^20 nodes.
+    def render(self, state: FrameState, fresh: bool = True, out: np.ndarray | None = None) -> np.ndarray:
+        """The frame at `state`, in `out` (contiguous) where that is given; `fresh` says that the surface tables have yet to be
+        updated for it.
         """
-        if state.node_count > MAX_NODES:
-            raise ValueError(f"{state.node_count} nodes: the particle view draws at most {MAX_NODES}")
         if fresh:
             self.surface.update(state.wall, state.wall_count)
-        image = np.empty((self.height, self.width, 3), np.uint8)
+        image = np.empty(self.still.shape, np.uint8) if out is None else out
+        image[...] = self.still
         profile = self.puff_profile
         puff_kpa = state.trace_puff_kpa[-1] if len(state.trace_puff_kpa) else 0.0
         if state.puff_radial is not None and np.max(np.abs(state.puff_radial)) > 0.0:
@@ -129,9 +142,9 @@ class Particles:
             profile = np.interp(self.radii, wall_r, state.puff_radial, right=0.0)
             profile /= np.max(np.abs(state.puff_radial))
         curves, head, now = self.curve_columns(state)
-        self._find(state.nodes, state.node_count)
-        self._draw(image, state.nodes, state.pressure, state.velocity, profile.astype(np.float32),
-                   puff_kpa / self.peak_kpa, curves, head[0], head[1], now)
+        self._draw(image, state.nodes, state.node_count, state.pressure, state.velocity, profile.astype(np.float32),
+                   puff_kpa / self.peak_kpa, curves, now)
+        self.mark(image, *head)
         self.label(image, state, puff_kpa)
         return image
 
@@ -150,6 +163,14 @@ class Particles:
         reached = min(state.trace_time_ms[-1] / self.ranges.time_ms, 1.0) * (self.right - self.left)
         return rows, (float(self.left + reached), float(apex[-1])), int(reached)
 
+    def mark(self, image: np.ndarray, column: float, row: float) -> None:
+        """A dot at the present, in place."""
+        size = ceil(self.marker + 0.5)
+        left, top = round(column) - size, round(row) - size
+        places = np.arange(2 * size + 1)
+        gone = np.hypot(left + places - column, (top + places - row)[:, None])
+        stamp(image, np.clip(self.marker + 0.5 - gone, 0.0, 1.0), top, left, TRACE)
+
     def row_of(self, value: np.ndarray, low: float, high: float) -> np.ndarray:
         share = (value - low) / (high - low)
         return np.clip(self.bottom - share * (self.bottom - self.top), self.top, self.bottom)
@@ -167,102 +188,155 @@ class Particles:
             stamp(image, load, row, self.right - load.shape[1], JET)
 
     @ti.kernel
-    def _load(self, colours: ti.types.ndarray(), base: ti.types.ndarray(), wall: ti.types.ndarray()):
-        for k in range(256):
-            self.colours[k] = ti.Vector([colours[k, 0], colours[k, 1], colours[k, 2]])
-        for i, j in ti.ndrange(self.height, self.width):
-            self.base[i, j] = ti.Vector([base[i, j, 0], base[i, j, 1], base[i, j, 2]])
-            self.wall[i, j] = wall[i, j]
+    def _load(self, colours: ti.types.ndarray(), cover: ti.types.ndarray(), glow: ti.types.ndarray(),
+              wall: ti.types.ndarray(), floor: ti.types.ndarray()):
+        # as few loops as may be: each costs compile time
+        for k in range(ti.static(max(COVERS, self.height + 2, self.half))):
+            if k < 256:
+                self.colours[k] = ti.Vector([colours[k, 0], colours[k, 1], colours[k, 2]])
+            if k < COVERS:
+                self.cover[k] = cover[k]
+            if k < self.height + 2:
+                self.glow[k] = glow[k]
+            if k < self.half:
+                self.floor[k] = floor[k]
+        for j, i in self.wall:
+            self.wall[j, i] = wall[j, i]
+            self.nearest[j, i] = ti.u32(EMPTY)
 
     @ti.kernel
-    def _find(self, nodes: ti.template(), node_count: ti.i32):
-        for i, j in self.nearest:
-            self.nearest[i, j] = ti.u32(EMPTY)
+    def _draw(self, image: ti.types.ndarray(), nodes: ti.template(), node_count: ti.i32, pressure: ti.template(),
+              velocity: ti.template(), profile: ti.types.ndarray(), puff: ti.f32, curves: ti.types.ndarray(),
+              now: ti.i32):
+        for turn in range(self.out.turns):
+            if self.out.draws(turn):
+                first, after = self.out.first(turn), self.out.after(turn)
+                for j in range(first, after):
+                    self.set_column(j, profile, puff)
+                self.find(nodes, node_count, pressure, velocity, first, after)
+                for j in range(first, after):
+                    self.draw_section(image, j)
+        for turn in range(self.over.turns):
+            if self.over.draws(turn):
+                for k in range(self.over.first(turn), ti.min(self.over.after(turn), now + 1)):
+                    self.draw_curves(image, curves, k, now)
+
+    @ti.func
+    def find(self, nodes: ti.template(), node_count, pressure: ti.template(), velocity: ti.template(), first, after):
+        """Write the nearest-node words of these columns, all empty before."""
         for n in range(node_count):
             column = nodes[n][0] * self.px_per_m
-            row = self.limbus_row - nodes[n][1] * self.px_per_m
-            first_i = ti.max(ti.cast(ti.ceil(row - self.reach - 0.5), ti.i32), 0)
-            last_i = ti.min(ti.cast(ti.floor(row + self.reach - 0.5), ti.i32), self.height - 1)
-            first_j = ti.max(ti.cast(ti.ceil(column - self.reach - 0.5), ti.i32), 0)
-            last_j = ti.min(ti.cast(ti.floor(column + self.reach - 0.5), ti.i32), self.half - 1)
-            for i in range(first_i, last_i + 1):
-                for j in range(first_j, last_j + 1):
-                    far = (i + 0.5 - row) ** 2 + (j + 0.5 - column) ** 2
-                    if far <= self.reach**2:
-                        word = (ti.cast(far * self.distance_steps, ti.u32) << NODE_BITS) | ti.cast(n, ti.u32)
-                        ti.atomic_min(self.nearest[i, j], word)
-
-    @ti.kernel
-    def _draw(self, image: ti.types.ndarray(), nodes: ti.template(), pressure: ti.template(),
-              velocity: ti.template(), profile: ti.types.ndarray(), puff: ti.f32, curves: ti.types.ndarray(),
-              head_column: ti.f32, head_row: ti.f32, now: ti.i32):
-        for k in range(self.half):
-            r = (k + 0.5) / self.px_per_m
-            slope = self.surface.at(self.surface.slope, r)
-            row = self.limbus_row - self.surface.at(self.surface.height, r) * self.px_per_m
-            tilt = 1.0 / ti.sqrt(1.0 + slope * slope)
-            self.column[k] = ti.Vector([row, tilt, ti.max(puff * self.surface.at(profile, r), 0.0)])
-        for i, j in ti.ndrange(self.height, self.width):
-            still = self.base[i, j]
-            colour = ti.Vector([1.0 * still[0], 1.0 * still[1], 1.0 * still[2]])
-            off = ti.max(j - self.axis, self.axis - 1 - j)
-            if off < self.half:
-                surface_row, tilt, load = self.column[off]
-                depth = i + 0.5 - surface_row
-                if depth < 0.0:
-                    if load > 1e-3:
-                        # an even beam, brighter where it stops on the cornea
-                        glow = 0.46 + 0.30 * ti.exp(depth / (0.25e-3 * self.px_per_m))
-                        colour = blend(colour, ti.Vector(JET), load * glow)
+            left = ti.max(ti.cast(ti.ceil(column - self.reach - 0.5), ti.i32), first)
+            right = ti.min(ti.cast(ti.floor(column + self.reach - 0.5), ti.i32) + 1, after)
+            if left < right:
+                row = self.limbus_row - nodes[n][1] * self.px_per_m
+                value = 0.0 * row
+                if ti.static(self.by_speed):
+                    value = velocity[n].norm()
                 else:
-                    word = self.nearest[i, off]
-                    if word != ti.u32(EMPTY):
-                        n = ti.cast(word & ti.u32(MAX_NODES - 1), ti.i32)
-                        far = ti.sqrt((off + 0.5 - nodes[n][0] * self.px_per_m) ** 2
-                                      + (self.limbus_row - nodes[n][1] * self.px_per_m - i - 0.5) ** 2)
-                        value = 0.0 * far
-                        if ti.static(self.by_speed):
-                            value = velocity[n].norm()
-                        else:
-                            value = pressure[n]
-                        share = ti.math.clamp((value - self.low) / self.span, 0.0, 1.0)
-                        tint = self.colours[ti.math.clamp(ti.cast(share * 255.0 + 0.5, ti.i32), 0, 255)]
-                        cover = ti.math.clamp(self.disc + 0.5 - far, 0.0, 1.0)
-                        colour = blend(FILL * tint + ti.Vector(FILL_FLOOR), tint, cover)
-                if abs(depth) * tilt < self.line + 0.5 and off < self.rim:
-                    colour = blend(colour, ti.Vector(MEMBRANE),
-                                   ti.math.clamp(self.line + 0.5 - abs(depth) * tilt, 0.0, 1.0))
-                wall = self.wall[i, j]
+                    value = pressure[n]
+                share = ti.math.clamp((value - self.low) / self.span, 0.0, 1.0)
+                shade = ti.cast(ti.math.clamp(ti.cast(share * 255.0 + 0.5, ti.i32), 0, 255), ti.u32)
+                for j in range(left, right):
+                    aside = (j + 0.5 - column) ** 2
+                    down = ti.sqrt(ti.max(self.reach**2 - aside, 0.0))
+                    top = ti.max(ti.cast(ti.ceil(row - down - 0.5), ti.i32), self.rows[j][0])
+                    bottom = ti.min(ti.cast(ti.floor(row + down - 0.5), ti.i32) + 1, self.rows[j][1])
+                    for i in range(top, bottom):
+                        far = aside + (i + 0.5 - row) ** 2
+                        word = (ti.cast(far * self.distance_steps, ti.u32) << SHADE_BITS) | shade
+                        self.nearest[j, i] = ti.min(self.nearest[j, i], word)
+
+    @ti.func
+    def set_column(self, j, profile: ti.template(), puff):
+        """What the j-th column from the axis shows where."""
+        r = (j + 0.5) / self.px_per_m
+        slope = self.surface.at(self.surface.slope, r)
+        row = self.limbus_row - self.surface.at(self.surface.height, r) * self.px_per_m - 0.5
+        tilt = 1.0 / ti.sqrt(1.0 + slope * slope)
+        self.column[j] = ti.Vector([row, tilt, ti.max(puff * self.surface.at(profile, r), 0.0)])
+        self.rows[j] = ti.Vector([self.row_from(row), self.floor[j]])
+
+    @ti.func
+    def draw_section(self, image: ti.template(), j):
+        """The j-th column from the axis and its mirror image, where jet, liquid or membrane show; empties its words."""
+        row, tilt, load = self.column[j]
+        surface, floor = self.rows[j]
+        line = 0.0
+        if j < self.rim:
+            line = self.line + 0.5
+        begin = self.row_from(row - line / tilt)
+        end = ti.max(self.row_from(row + line / tilt), floor)
+        if load > 1e-3:
+            begin = 0
+        # one loop: each more would cost compile time, its branches cost little
+        for i in range(begin, end):
+            depth = i - row
+            membrane = ti.math.clamp(line - abs(depth) * tilt, 0.0, 1.0)
+            colour = 1.0 * ti.Vector(BACKGROUND)
+            wall = self.wall[j, i]
+            shown = membrane > 0.0
+            if i < surface:
+                over = ti.min(-depth, self.height)
+                k = ti.cast(over, ti.i32)
+                glow = self.glow[k] + (over - k) * (self.glow[k + 1] - self.glow[k])
+                colour = blend(colour, ti.Vector(JET), load * glow)
+                shown = True
+            elif self.nearest[j, i] != ti.u32(EMPTY):
+                word = self.nearest[j, i]
+                self.nearest[j, i] = ti.u32(EMPTY)
+                tint = self.colours[ti.cast(word & ti.u32(255), ti.i32)]
+                cover = self.cover[ti.cast(word >> (32 - COVER_BITS), ti.i32)]
+                colour = blend(FILL * tint + ti.Vector(FILL_FLOOR), tint, cover)
+                shown = True
+            if shown and wall < 255:
+                if membrane > 0.0:
+                    colour = blend(colour, ti.Vector(MEMBRANE), membrane)
                 if wall > 0:
                     colour = blend(colour, ti.Vector(WALL), wall / 255.0)
-            elif j >= self.left and j <= self.right and i >= self.top and i <= self.bottom:
-                k = j - self.left
-                if k <= now:
-                    if i > curves[k, 1]:
-                        colour = blend(colour, ti.Vector(JET), 0.10)
-                    load = 0.75 * curve_cover(curves, k, 1, i, now, self.curve)
-                    colour = blend(colour, ti.Vector(JET), load)
-                    apex = curve_cover(curves, k, 0, i, now, 1.5 * self.curve)
-                    colour = blend(colour, ti.Vector(TRACE), apex)
-            if abs(j - head_column) < 20.0 and abs(i - head_row) < 20.0:
-                gone = ti.sqrt((j - head_column) ** 2 + (i - head_row) ** 2)
-                colour = blend(colour, ti.Vector(TRACE), ti.math.clamp(self.marker + 0.5 - gone, 0.0, 1.0))
-            for c in ti.static(range(3)):
-                image[i, j, c] = ti.cast(ti.math.clamp(colour[c] + 0.5, 0.0, 255.0), ti.u8)
+                put(image, i, self.axis + j, colour)
+                put(image, i, self.axis - 1 - j, colour)
+
+    @ti.func
+    def row_from(self, row):
+        """The first row of the image at or below `row`."""
+        return ti.math.clamp(ti.cast(ti.ceil(row), ti.i32), 0, self.height)
+
+    @ti.func
+    def draw_curves(self, image: ti.template(), curves: ti.template(), k, now):
+        """The k-th column of the plot: the load, shaded down to the axis, and the apex over it."""
+        here = ti.Vector([curves[k, 0], curves[k, 1]])
+        before = ti.max(k - 1, 0)
+        after = ti.min(k + 1, now)
+        slope = 0.5 * ti.Vector([curves[after, 0] - curves[before, 0], curves[after, 1] - curves[before, 1]])
+        tilt = 1.0 / ti.sqrt(1.0 + slope * slope)
+        half = ti.Vector([1.5 * self.curve + 0.5, self.curve + 0.5])
+        for i in range(ti.max(ti.cast((here - half / tilt).min(), ti.i32), self.top), self.bottom + 1):
+            cover = ti.math.clamp(half - abs(i - here) * tilt, 0.0, 1.0)
+            colour = pixel(image, i, self.left + k)
+            if i > here[1]:
+                colour = blend(colour, ti.Vector(JET), 0.10)
+            colour = blend(blend(colour, ti.Vector(JET), 0.75 * cover[1]), ti.Vector(TRACE), cover[0])
+            put(image, i, self.left + k, colour)
+
+
+@ti.func
+def pixel(image: ti.template(), i, j):
+    """The colour there."""
+    return ti.Vector([1.0 * image[i, j, 0], 1.0 * image[i, j, 1], 1.0 * image[i, j, 2]])
+
+
+@ti.func
+def put(image: ti.template(), i, j, colour):
+    """Set a pixel; every colour is blended from colours, so none is out of range."""
+    for c in ti.static(range(3)):
+        image[i, j, c] = ti.cast(colour[c] + 0.5, ti.u8)
 
 
 @ti.func
 def blend(under, colour, share):
     """`colour` over `under` with coverage `share`."""
     return under + share * (colour - under)
-
-
-@ti.func
-def curve_cover(curves: ti.template(), k, which, row, last, half_width):
-    """Coverage of pixel (row, column k) by a curve given as one row per column."""
-    here = curves[k, which]
-    slope = 0.5 * (curves[ti.min(k + 1, last), which] - curves[ti.max(k - 1, 0), which])
-    return ti.math.clamp(half_width + 0.5 - abs(row - here) / ti.sqrt(1.0 + slope * slope), 0.0, 1.0)
 
 
 def colour_limits(scene) -> tuple[float, float]:
@@ -371,6 +445,13 @@ def draw_colour_bar(image: Image.Image, draw: ImageDraw.ImageDraw, scene, at: La
         draw.line([(x, top + height), (x, top + height + 3 * unit)], FAINT)
         draw.text((x, top + height + 4 * unit), f"{tick:.3g}", FAINT, label, anchor="ma")
         tick += step
+
+
+def floor_rows(wall: np.ndarray) -> np.ndarray:
+    """The row where the back begins in each column, 0 beyond the chamber; wall: coverage [columns, rows]."""
+    solid = wall == 255
+    top = solid & ~np.pad(solid, ((0, 0), (1, 0)))[:, :-1]
+    return np.where(top, np.arange(wall.shape[1]), 0).max(axis=1)
 
 
 def wall_cover(scene, at: Layout) -> np.ndarray:

@@ -20,12 +20,11 @@ from math import erf, exp, sqrt
 import numpy as np
 import taichi as ti
 
-from taichi_eye.backend import real
-
 from .glyphs import GlyphAtlas, stamp
 from .noise import gaussian_table, noise_key, hash_u32
 from .state import FrameState
-from .surface import Surface
+from .strips import Strips
+from .surface import RAYS, Surface
 
 AIR = 6.5
 CHAMBER = 7.4
@@ -41,7 +40,7 @@ SPECK_SHARE = 0.12                           # of the frames
 SPECK_LEVEL, SPECK_SIGMA_PX = 520.0, 1.3     # saturates over some 4 px
 PLAIN_BAND = 150.0
 STAMP_LEVEL = 205
-STEPS_PER_PX = 16
+STEPS_PER_PX = 64                            # the steepest edge moves by 0.2 grey levels in half a step
 PROFILE_BEFORE_PX, PROFILE_AFTER_PX = 10, 14
 SCENERY_MM = 0.05                            # grid of iris and lens
 SCENERY_REACH_MM, SCENERY_TOP_MM, SCENERY_BOTTOM_MM = 6.5, 1.5, -7.0
@@ -56,6 +55,9 @@ class Scheimpflug:
     """Renders frames of shape [height_px, width_px], uint8.
 
     One `Surface` may be shared with another view, which then need not be updated twice for the same frame.
+
+    A column is drawn from the top down: air, the cornea with its blur, the chamber, and from the row on where iris or lens
+    show, those. Air and chamber are one level each, so their noise is a table of grey levels.
     """
 
     def __init__(self, scene, surface: Surface | None = None):
@@ -66,21 +68,26 @@ class Scheimpflug:
         self.apex_row, self.apex_column = float(camera.apex_row_px), float(camera.apex_column_px)
         self.apex_rest = self.surface.apex_rest
         self.plain = camera.optics == "plain"
-        self.epithelium, self.stroma = float(camera.epithelium), float(camera.stroma)
-        self.iris, self.lens, self.fall_off = float(camera.iris), float(camera.lens), float(camera.fall_off)
-        self.specks, self.noise, self.seed = camera.specks, camera.noise, camera.seed
+        self.iris, self.lens = float(camera.iris), float(camera.lens)
+        self.specks, self.seed = camera.specks, camera.seed
         self.interval_ms = camera.frame_interval_ms
         self.atlas = GlyphAtlas(max(8, round(0.065 * self.height))) if camera.stamp else None
 
-        edge, posterior, line_stroma = edge_profiles()
-        self.line_stroma = line_stroma
+        profile, line_stroma = edge_profiles()
         objects = scenery()
-        self.edge = ti.Vector.field(2, real(), len(edge))
-        self.posterior = ti.field(real(), len(posterior))
-        self.column = ti.Vector.field(5, real(), self.width)
-        self.scenery = ti.Vector.field(2, real(), objects.shape[:2])
-        self.quantile = ti.field(real(), len(gaussian_table()))
-        self._load(edge, posterior, objects, gaussian_table())
+        quantile = gaussian_table() * camera.noise
+        self.profile = ti.Vector.field(3, ti.f32, len(profile))
+        self.light = ti.Vector.field(2, ti.f32, self.width)       # on stroma and line
+        self.scenery = ti.Vector.field(2, ti.f32, objects.shape[:2])
+        self.quantile = ti.field(ti.f32, len(quantile))
+        self.even = ti.Vector.field(2, ti.u8, len(quantile))      # air and chamber, by quantile
+        self.mixed = ti.field(ti.u32, (self.width, self.height))
+        # light from behind the cornea on the surface's radii, and the row from which on there is any
+        self.behind = ti.field(ti.f32, (self.surface.columns, self.height))
+        self.behind_from = ti.field(ti.i32, self.surface.columns)
+        self.across, self.out = Strips(self.width), Strips(self.surface.columns)
+        self._load(profile, self._lights(camera, line_stroma), objects, quantile,
+                   np.stack([grey_levels(level, quantile) for level in (AIR, CHAMBER)], axis=-1))
 
     def render(self, state: FrameState, fresh: bool = True) -> np.ndarray:
         """The frame at `state`; `fresh` says that the surface tables have yet to be updated for it."""
@@ -91,90 +98,164 @@ class Scheimpflug:
             self._render_plain(image, state.retreat_mm * 1e-3)
         else:
             frame = round(state.time_ms / self.interval_ms)
-            self._render(image, noise_key(self.seed, frame), 1 if self.noise else 0, state.retreat_mm * 1e-3,
-                         self._speck_column(frame))
+            self._render(image, noise_key(self.seed, frame), state.retreat_mm * 1e-3, self._speck_column(frame))
         if self.atlas is not None:
             mask = self.atlas.mask(f"{state.time_ms:.2f} ms")
             stamp(image, mask, self.height - mask.shape[0] - 3, self.width - mask.shape[1] - 6, STAMP_LEVEL)
         return image
 
+    def _lights(self, camera, line_stroma: float) -> np.ndarray:
+        """Brightness of stroma and anterior line over the chamber in each column, shape [width, 2]."""
+        x_mm = (np.arange(self.width) - self.apex_column) * camera.pixel_x_mm
+        off_mm = camera.fall_off * (np.hypot(x_mm, FALL_CORE_MM) - FALL_CORE_MM)
+        stroma = camera.stroma * (STROMA_TOP - CHAMBER) * np.exp(-STROMA_FALL * off_mm)
+        line = (LINE_CENTRE - CHAMBER) * np.exp(-LINE_FALL * off_mm) - line_stroma * stroma
+        return np.column_stack([stroma, camera.epithelium * np.maximum(line, 0.0)])
+
     @ti.kernel
-    def _load(self, edge: ti.types.ndarray(), posterior: ti.types.ndarray(), objects: ti.types.ndarray(),
-              quantile: ti.types.ndarray()):
-        for k in range(edge.shape[0]):
-            self.edge[k], self.posterior[k] = ti.Vector([edge[k, 0], edge[k, 1]]), posterior[k]
+    def _load(self, profile: ti.types.ndarray(), light: ti.types.ndarray(), objects: ti.types.ndarray(),
+              quantile: ti.types.ndarray(), even: ti.types.ndarray()):
+        # as few loops as may be: each costs compile time
+        for k in range(ti.static(max(self.profile.shape[0], self.quantile.shape[0], self.width))):
+            if k < self.profile.shape[0]:
+                self.profile[k] = ti.Vector([profile[k, 0], profile[k, 1], profile[k, 2]])
+            if k < self.quantile.shape[0]:
+                self.quantile[k], self.even[k] = quantile[k], ti.Vector([even[k, 0], even[k, 1]])
+            if k < self.width:
+                self.light[k] = ti.Vector([light[k, 0], light[k, 1]])
         for i, k in ti.ndrange(objects.shape[0], objects.shape[1]):
             self.scenery[i, k] = ti.Vector([objects[i, k, 0], objects[i, k, 1]])
-        for k in range(quantile.shape[0]):
-            self.quantile[k] = quantile[k]
+        for j, i in ti.ndrange(self.width, self.height):
+            self.mixed[j, i] = hash_u32(ti.cast(i * self.width + j, ti.u32))
 
     def _speck_column(self, frame: int) -> float:
         """Column of this frame's speck; far outside where it has none."""
+        if not self.specks:
+            return -1e3
         draw = np.random.default_rng([self.seed, frame, 1])
-        if not self.specks or draw.random() >= SPECK_SHARE:
+        if draw.random() >= SPECK_SHARE:
             return -1e3
         return self.apex_column + draw.normal(0.0, 0.15 * self.width)
 
     @ti.func
-    def set_column(self, j, retreat):
-        """Row of the anterior edge, apparent thickness, tilt, and the light on stroma and line of column j."""
+    def column(self, j, retreat):
+        """Row of the anterior edge, apparent thickness and tilt of column j."""
         x = (j - self.apex_column) * self.pixel_x
         z = self.surface.at(self.surface.height, x)
         slope = self.surface.at(self.surface.slope, x) * self.pixel_x / self.pixel_y
         depth = (z - self.surface.at(self.surface.apparent, x)) / self.pixel_y
-        off_mm = self.fall_off * (ti.sqrt((x * 1e3) ** 2 + FALL_CORE_MM**2) - FALL_CORE_MM)
-        stroma = self.stroma * (STROMA_TOP - CHAMBER) * ti.exp(-STROMA_FALL * off_mm)
-        line = (LINE_CENTRE - CHAMBER) * ti.exp(-LINE_FALL * off_mm) - self.line_stroma * stroma
-        row = self.apex_row + (self.apex_rest - z + retreat) / self.pixel_y
-        tilt = 1.0 / ti.sqrt(1.0 + slope * slope)
-        self.column[j] = ti.Vector([row, ti.max(depth, 1.0), tilt, stroma, self.epithelium * ti.max(line, 0.0)])
+        return ti.Vector([self.row_of(z, retreat), ti.max(depth, 1.0), 1.0 / ti.sqrt(1.0 + slope * slope)])
 
     @ti.kernel
-    def _render(self, image: ti.types.ndarray(), key: ti.u32, noisy: ti.i32, retreat: float, speck: float):
-        for j in range(self.width):
-            self.set_column(j, retreat)
-        dent = ti.math.clamp((self.apex_rest - self.surface.height[0]) * 1e3, 0.0, 1.5)
-        haze = self.lens * (HAZE_REST + (HAZE_DENTED - HAZE_REST) * dent)
-        for i, j in ti.ndrange(self.height, self.width):
-            row, thickness, tilt, stroma, line = self.column[j]
-            depth = i - row
-            level = 0.0 * depth + AIR
-            if depth * tilt > -PROFILE_BEFORE_PX:
-                behind = 0.0
-                if depth > 0.5 * thickness:
-                    apparent = self.apex_rest + retreat - (i - self.apex_row) * self.pixel_y
-                    x, z = self.surface.through((j - self.apex_column) * self.pixel_x, apparent)
-                    front = (IRIS_HEIGHT_MM + IRIS_ABOVE_MM + IRIS_SLOPE * (abs(x) * 1e3 - IRIS_RIM_MM)) * 1e-3
-                    if z < ti.max(front, LENS_ABOVE_MM * 1e-3):
-                        iris, lens = self.scenery_at(x, z)
-                        behind = self.iris * iris + haze * lens
-                level = CHAMBER + behind
-                if (depth - thickness) * tilt < PROFILE_AFTER_PX:
-                    # step across the anterior surface, the line's excess, step across the posterior surface
-                    edge = look_up(self.edge, depth * tilt)
-                    inside = look_up(self.posterior, (depth - thickness) * tilt)
-                    share = ti.math.clamp(depth / thickness, 0.0, 1.0)
-                    body = stroma * (1.0 - (STROMA_TOP - STROMA_BOTTOM) / (STROMA_TOP - CHAMBER) * share)
-                    level = (AIR + edge[0] * (CHAMBER - AIR + inside * body + (1.0 - inside) * behind)
-                             + edge[1] * line)
-                    if abs(j - speck) < 8.0:
-                        off = ((j - speck) ** 2 + (depth - LINE_DEPTH_PX) ** 2) / (SPECK_SIGMA_PX * SPECK_SIGMA_PX)
-                        level += SPECK_LEVEL * ti.exp(-0.5 * off)
-            if noisy != 0:
-                draw = hash_u32(hash_u32(ti.cast(i * self.width + j, ti.u32)) ^ key)
-                normal = self.quantile[ti.cast(draw >> 20, ti.i32)]
-                level += ti.sqrt(NOISE_FLOOR + NOISE_GAIN * level) * normal
-            image[i, j] = ti.cast(ti.math.clamp(level + 0.5, 0.0, 255.0), ti.u8)
+    def _render(self, image: ti.types.ndarray(), key: ti.u32, retreat: float, speck: float):
+        for turn in range(self.out.turns):
+            if self.out.draws(turn):
+                for k in range(self.out.first(turn), self.out.after(turn)):
+                    self.look_behind(k, retreat)
+        for turn in range(self.across.turns):
+            if self.across.draws(turn):
+                for j in range(self.across.first(turn), self.across.after(turn)):
+                    self.draw_column(image, j, key, retreat, speck)
 
     @ti.kernel
     def _render_plain(self, image: ti.types.ndarray(), retreat: float):
-        for j in range(self.width):
-            self.set_column(j, retreat)
-        for i, j in ti.ndrange(self.height, self.width):
-            depth = i - self.column[j][0]
-            thickness = self.column[j][1]
-            cover = ti.math.clamp(depth + 0.5, 0.0, 1.0) - ti.math.clamp(depth - thickness + 0.5, 0.0, 1.0)
+        for turn in range(self.across.turns):
+            if self.across.draws(turn):
+                for j in range(self.across.first(turn), self.across.after(turn)):
+                    self.draw_band(image, j, retreat)
+
+    @ti.func
+    def draw_column(self, image: ti.template(), j, key, retreat, speck):
+        """Air, cornea, chamber, iris and lens of column j."""
+        row, thickness, tilt = self.column(j, retreat)
+        stroma, line = self.light[j]
+        loss = (STROMA_TOP - STROMA_BOTTOM) / (STROMA_TOP - CHAMBER) * stroma / thickness
+        begin = self.row_from(row - PROFILE_BEFORE_PX / tilt)
+        end = ti.max(self.row_from(row + thickness + PROFILE_AFTER_PX / tilt), begin)
+        k, share = self.surface.between(abs(j - self.apex_column) * self.pixel_x)
+        lit = ti.min(self.behind_from[k], self.behind_from[k + 1])
+        dark = ti.max(lit, end)
+        # one loop: each more would cost compile time, its branches cost little
+        for i in range(self.height):
+            number = ti.cast(hash_u32(self.mixed[j, i] ^ key) >> 20, ti.i32)
+            if i < begin:
+                image[i, j] = self.even[number][0]
+            elif i >= end and i < dark:
+                image[i, j] = self.even[number][1]
+            else:
+                behind = 0.0
+                if i >= lit:
+                    behind = self.behind[k, i] + share * (self.behind[k + 1, i] - self.behind[k, i])
+                level = CHAMBER + behind
+                if i < end:
+                    # step across the anterior surface, the line's excess, step across the posterior surface
+                    depth = i - row
+                    rise, excess, _ = self.look_up(depth * tilt)
+                    inside = self.look_up((depth - thickness) * tilt)[2]
+                    body = stroma - loss * ti.math.clamp(depth, 0.0, thickness)
+                    level = AIR + rise * (CHAMBER - AIR + inside * body + (1.0 - inside) * behind) + excess * line
+                    if abs(j - speck) < 8.0:
+                        off = ((j - speck) ** 2 + (depth - LINE_DEPTH_PX) ** 2) / (SPECK_SIGMA_PX * SPECK_SIGMA_PX)
+                        level += SPECK_LEVEL * ti.exp(-0.5 * off)
+                noise = ti.sqrt(NOISE_FLOOR + NOISE_GAIN * level) * self.quantile[number]
+                image[i, j] = ti.cast(ti.math.clamp(level + noise + 0.5, 0.0, 255.0), ti.u8)
+
+    @ti.func
+    def draw_band(self, image: ti.template(), j, retreat):
+        """The band between the two edges in column j, and nothing else."""
+        row, thickness, _ = self.column(j, retreat)
+        for i in range(self.height):
+            cover = ti.math.clamp(i - row + 0.5, 0.0, 1.0) - ti.math.clamp(i - row - thickness + 0.5, 0.0, 1.0)
             image[i, j] = ti.cast(PLAIN_BAND * cover + 0.5, ti.u8)
+
+    @ti.func
+    def row_of(self, z, retreat):
+        """Row of a height [m] over the limbus plane."""
+        return self.apex_row + (self.apex_rest - z + retreat) / self.pixel_y
+
+    @ti.func
+    def row_from(self, row):
+        """The first row of the image at or below `row`."""
+        return ti.math.clamp(ti.cast(ti.ceil(row), ti.i32), 0, self.height)
+
+    @ti.func
+    def look_up(self, offset):
+        """The cross-sections nearest to `offset` px from their edge, constant beyond their ends."""
+        t = ti.math.clamp((offset + PROFILE_BEFORE_PX) * STEPS_PER_PX + 0.5, 0.0, self.profile.shape[0] - 1.0)
+        return self.profile[ti.max(ti.cast(t, ti.i32), 0)]
+
+    @ti.func
+    def look_behind(self, k, retreat):
+        """Light of iris and lens along the rays of the k-th radius, down the rows."""
+        dent = ti.math.clamp((self.apex_rest - self.surface.height[0]) * 1e3, 0.0, 1.5)
+        haze = self.lens * (HAZE_REST + (HAZE_DENTED - HAZE_REST) * dent)
+        top = self.row_from(self.row_of(self.surface.height[k], retreat))
+        lit = self.height
+        # between two rays place in the lit plane goes evenly with the row; straight on before the first, beyond the last
+        n = 0
+        row, following, start, rate = self.between_rays(k, n, retreat)
+        for i in range(self.height):
+            while n < RAYS - 2 and i >= following:
+                n += 1
+                row, following, start, rate = self.between_rays(k, n, retreat)
+            x, z = start + (i - row) * rate
+            light = 0.0
+            front = (IRIS_HEIGHT_MM + IRIS_ABOVE_MM + IRIS_SLOPE * (abs(x) * 1e3 - IRIS_RIM_MM)) * 1e-3
+            if i >= top and z < ti.max(front, LENS_ABOVE_MM * 1e-3):
+                iris, lens = self.scenery_at(x, z)
+                light = self.iris * iris + haze * lens
+                lit = ti.min(lit, i)
+            self.behind[k, i] = light
+        self.behind_from[k] = lit
+
+    @ti.func
+    def between_rays(self, k, n, retreat):
+        """Rows of the n-th ray of the k-th radius and of the next, the (x, z) that the first shows, and its change per row."""
+        a = self.surface.behind[k, n]
+        b = self.surface.behind[k, n + 1]
+        rate = (b - a) * (self.pixel_y / ti.max(a[0] - b[0], 1e-9))
+        return (self.row_of(a[0], retreat), self.row_of(b[0], retreat), ti.Vector([a[1], a[2]]),
+                ti.Vector([rate[1], rate[2]]))
 
     @ti.func
     def scenery_at(self, x, z):
@@ -189,19 +270,17 @@ class Scheimpflug:
                 + q * ((1.0 - p) * self.scenery[i, k + 1] + p * self.scenery[i + 1, k + 1]))
 
 
-@ti.func
-def look_up(table: ti.template(), offset):
-    """A cross-section table at `offset` px from its edge, constant beyond its ends."""
-    t = ti.math.clamp((offset + PROFILE_BEFORE_PX) * STEPS_PER_PX, 0.0, table.shape[0] - 1.001)
-    k = ti.max(ti.cast(t, ti.i32), 0)
-    return table[k] + (t - k) * (table[k + 1] - table[k])
+def grey_levels(level: float, quantile: np.ndarray) -> np.ndarray:
+    """What the sensor reads of an even `level`, by quantile of its noise, uint8."""
+    noise = np.sqrt(NOISE_FLOOR + NOISE_GAIN * level) * quantile
+    return np.clip(level + noise + 0.5, 0.0, 255.0).astype(np.uint8)
 
 
-def edge_profiles() -> tuple[np.ndarray, np.ndarray, float]:
-    """Cross-sections tabulated over the distance from an edge along its normal, -10..14 px in 1/16 px.
+def edge_profiles() -> tuple[np.ndarray, float]:
+    """Cross-sections tabulated over the distance from an edge along its normal, -10..14 px in 1/64 px.
 
-    Returns the anterior step and line excess, shape [n, 2], the posterior step (1 inside the stroma, 0
-    behind), shape [n], and the share of the stroma's brightness under the peak of the line. The anterior
+    Returns the anterior step, the line's excess and the posterior step (1 inside the stroma, 0 behind), shape
+    [n, 3], and the share of the stroma's brightness under the peak of the line. The anterior
     table is shifted so that on the axis half the rise to the peak lies on the surface itself.
     """
     offset = np.arange(-PROFILE_BEFORE_PX * STEPS_PER_PX, PROFILE_AFTER_PX * STEPS_PER_PX + 1) / STEPS_PER_PX
@@ -216,9 +295,8 @@ def edge_profiles() -> tuple[np.ndarray, np.ndarray, float]:
     for _ in range(60):
         middle = 0.5 * (below + above)
         below, above = (middle, above) if rise(middle) < 0.5 * rise(LINE_DEPTH_PX) else (below, middle)
-    edge = np.array([(step((d + below) / RISE_SIGMA_PX), bump(d + below)) for d in offset])
-    posterior = np.array([1.0 - step(d / POSTERIOR_SIGMA_PX) for d in offset])
-    return edge, posterior, share
+    profile = [(step((d + below) / RISE_SIGMA_PX), bump(d + below), 1.0 - step(d / POSTERIOR_SIGMA_PX)) for d in offset]
+    return np.array(profile), share
 
 
 def step(u: float) -> float:

@@ -109,17 +109,11 @@ class Surface:
         return table[k] + (t - k) * (table[k + 1] - table[k])
 
     @ti.func
-    def through(self, x, apparent):
-        """The point (x, z) of the lit plane that column x shows at an apparent height [m], straight on beyond
-        the last ray."""
-        k = ti.math.clamp(ti.cast(abs(x) * (1.0 / self.spacing) + 0.5, ti.i32), 0, self.columns - 1)
-        n = 0
-        while n < RAYS - 2 and self.behind[k, n + 1][0] > apparent:
-            n += 1
-        a = self.behind[k, n]
-        b = self.behind[k, n + 1]
-        seen = a + (b - a) * ((apparent - a[0]) / ti.min(b[0] - a[0], -1e-9))
-        return ti.Vector([seen[1] + abs(x) - k * self.spacing, seen[2]])
+    def between(self, r):
+        """The column of the tables below radius r >= 0, and the share of the way to the next."""
+        t = r * (1.0 / self.spacing)
+        k = ti.math.clamp(ti.cast(t, ti.i32), 0, self.columns - 2)
+        return k, t - k
 
     @ti.func
     def tangent(self, wall: ti.template(), i):
@@ -194,20 +188,21 @@ class Surface:
     @ti.func
     def trace(self, x):
         """Where (y) the ray enters that shows the posterior surface in column x."""
-        y0 = 0.0 * x
-        gap0 = self.enter(x, y0)[1]
-        y1 = self.flat_ratio * gap0 * self.sin_angle / self.cos_angle
-        ray = self.enter(x, y1)
-        for _ in range(SECANT_STEPS):
-            change = ray[1] - gap0
-            if abs(ray[1]) < TOLERANCE * self.thickness[0] or change == 0.0:
-                break
-            y2 = ti.max(y1 - ray[1] * (y1 - y0) / change, 0.0)
-            y0 = y1
-            gap0 = ray[1]
-            y1 = y2
-            ray = self.enter(x, y1)
-        return y1
+        y = 0.0 * x
+        y0 = y
+        gap0 = y
+        for n in range(SECANT_STEPS + 1):
+            gap = self.enter(x, y)[1]
+            onwards = self.flat_ratio * gap * self.sin_angle / self.cos_angle
+            if n > 0:
+                change = gap - gap0
+                if abs(gap) < TOLERANCE * self.thickness[0] or change == 0.0:
+                    break
+                onwards = ti.max(y - gap * (y - y0) / change, 0.0)
+            y0 = y
+            gap0 = gap
+            y = onwards
+        return y
 
 
 @ti.func

@@ -3,6 +3,7 @@ import matplotlib
 import numpy as np
 import pytest
 
+from taichi_eye.eye.section import Section
 from taichi_eye.film import FilmView, Particles
 from taichi_eye.film.glyphs import GlyphAtlas, stamp
 from taichi_eye.film.particles import DARKEST, Layout, plot_ranges, tick_step
@@ -12,6 +13,7 @@ from taichi_eye.film.particles import DARKEST, Layout, plot_ranges, tick_step
 def eye(synthetic_eye):
     eye = synthetic_eye(["numerics.spacing_mm=0.3"])
     eye.view = Particles(eye.scene, stamped=False)
+    eye.back_z_mm = Section.from_scene(eye.scene).back_z * 1e3
     return eye
 
 
@@ -113,11 +115,22 @@ def test_the_expected_peak_fits_the_axes(synthetic_eye):
         assert 1.05 * peak < ranges.apex_high_mm < 2.2 * peak
 
 
-def test_too_many_nodes_are_refused(eye):
-    count, eye.state.node_count = eye.state.node_count, 2**20 + 1
-    with pytest.raises(ValueError, match="1048577 nodes"):
-        eye.view.render(eye.state)
-    eye.state.node_count = count
+def test_liquid_stays_over_the_back(eye):
+    at = eye.view.layout
+    back = at.limbus_row - eye.back_z_mm * at.scale
+    change = np.abs(disc_cover(eye, [[r, eye.back_z_mm] for r in (0.5, 2.0, 5.5)])).sum(axis=2)
+    assert change[:int(back)].any() and not change[int(back) + 2:].any()
+
+
+def test_a_frame_keeps_nothing_of_the_one_before(eye):
+    eye.set_nodes([[1.0, 1.0], [2.0, 0.5]], 2000.0)
+    first = eye.view.render(eye.state)
+    eye.set_wall(eye.dented(0.9))
+    eye.set_nodes([[0.4, 1.2], [3.0, 0.2], [5.0, 0.1]], 500.0)
+    eye.view.render(eye.state)
+    eye.set_wall(eye.sphere())
+    eye.set_nodes([[1.0, 1.0], [2.0, 0.5]], 2000.0)
+    assert np.array_equal(eye.view.render(eye.state), first)
 
 
 @pytest.mark.parametrize("view, shape", [("scheimpflug", (200, 576)), ("particles", (320, 1152, 3)),
