@@ -39,6 +39,7 @@ SWITCHES = {
     "bending stiffness": ("cornea.flexural_modulus_mpa",),
     "in-plane stiffness": ("cornea.stiffness_a_pa", "cornea.exponent_k"),
     "in-plane coupling": ("cornea.poisson_ratio",),
+    "relaxing tissue": ("cornea.viscoelastic_share",),
     "thicker rim": ("cornea.limbus_thickness_mm",),
     "yielding globe": ("chamber.compliance_mm3_mmhg",),
     "width of the puff": ("puff.radial_profile", "puff.width_mm"),
