@@ -39,6 +39,16 @@ FINEST_TOLERANCE = {ti.f64: 0.0, ti.f32: 1e-5}
 RUNNING, NOT_CONVERGED = 0, 1
 
 
+def plan_of(eyes, steps, dt, kick_dt, puff_apex) -> np.ndarray:
+    """What eyes are to do up to their next sample, a row to an eye: eye, steps, step and first kick's step [s], and puff.
+
+    One array, since each that a kernel takes costs some 10 us a call. puff_apex [k, step] [Pa].
+    """
+    plan = np.empty((len(eyes), 4 + puff_apex.shape[1]))
+    plan[:, 0], plan[:, 1], plan[:, 2], plan[:, 3], plan[:, 4:] = eyes, steps, dt, kick_dt, puff_apex
+    return plan
+
+
 @ti.data_oriented
 class Coupling:
     """Steps cornea and aqueous humour together; `setup` says how.
@@ -83,13 +93,12 @@ class Coupling:
 
         dt_before is the step before this call: velocities live at half steps, so the first kick spans both halves.
         """
-        puff_apex, kick_dt = np.asarray(puff_apex, dtype=float)[None], 0.5 * (dt + dt_before)
-        steps = puff_apex.shape[1]
+        puff_apex = np.asarray(puff_apex, dtype=float)[None]
+        paces = np.zeros(1, dtype=int), np.array([puff_apex.size]), np.array([dt]), np.array([0.5 * (dt + dt_before)])
         if backend.on_cpu() and (self.aqueous.nodes[0] <= SERIAL_NODES or backend.threads() == 1):
-            self._march(np.array([[0, steps, dt, kick_dt]]), puff_apex)
+            self._march(plan_of(*paces, puff_apex))
         else:
-            self.advance_in_parallel(np.zeros(1, dtype=int), np.array([steps]), np.array([dt]), np.array([kick_dt]),
-                                     puff_apex)
+            self.advance_in_parallel(*paces, puff_apex)
 
     def advance_in_parallel(self, eyes, steps, dt, kick_dt, puff_apex) -> None:
         """Take steps[k] steps of dt[k] [s] of each eye eyes[k], each part of a step in parallel over all nodes.
@@ -97,7 +106,7 @@ class Coupling:
         puff_apex [k, step] as in `advance`; kick_dt [k] [s]: what the first kick spans.
         """
         pace = np.zeros((len(self.aqueous.nodes), 3))
-        for step in range(max(steps)):
+        for step in range(int(max(steps))):
             pace[eyes] = np.column_stack([puff_apex[:, step], np.where(step < steps, dt, 0.0), kick_dt])
             kick_dt = dt
             self._step_in_parallel(pace)
@@ -215,16 +224,16 @@ class Coupling:
         self.aqueous.pressure_shift[eye] = self.aqueous.missing_pressure(eye, self.chamber_volume(eye))
 
     @ti.func
-    def march(self, eye, k, pace: ti.template(), puff: ti.template()):
-        """All steps of an eye on one thread: row k of pace (eye, steps, the step and the first kick's step [s]) and puff."""
-        steps, dt, kick_dt = int(pace[k, 1]), float(pace[k, 2]), float(pace[k, 3])
+    def march(self, eye, k, plan: ti.template()):
+        """All steps of an eye on one thread: row k of a plan (`plan_of`)."""
+        steps, dt, kick_dt = int(plan[k, 1]), float(plan[k, 2]), float(plan[k, 3])
         first, walls_end = self.aqueous.first[eye], self.aqueous.first[eye] + self.aqueous.wall_count[eye]
         end = first + self.aqueous.count[eye]
         for step in range(steps):
             if self.status[eye] == RUNNING:
                 if step > 0:
                     kick_dt = dt
-                self._move_cornea(eye, puff[k, step], dt)
+                self._move_cornea(eye, plan[k, 4 + step], dt)
                 self._settle_pressure(eye)
                 for i in range(first, end):
                     self.aqueous.kick(eye, i, kick_dt, self.cornea.velocity)
@@ -235,10 +244,10 @@ class Coupling:
                     self._end_cornea_step(eye, i, dt)
 
     @ti.kernel
-    def _march(self, pace: ti.types.ndarray(), puff: ti.types.ndarray()):
+    def _march(self, plan: ti.types.ndarray()):
         ti.loop_config(serialize=True)
-        for k in range(pace.shape[0]):
-            self.march(int(pace[k, 0]), k, pace, puff)
+        for k in range(plan.shape[0]):
+            self.march(int(plan[k, 0]), k, plan)
 
     @ti.kernel
     def _step_in_parallel(self, pace: ti.types.ndarray()):
