@@ -71,7 +71,7 @@ class Gathers:
             rough = self.aqueous.differentiate_pressure(i)
             self.out[i][0], self.out[i][1] = rough[0], rough[1]
         for i in range(self.aqueous.count[0]):
-            self.out[i][2] = self.aqueous.differentiate_velocity(i, True)
+            self.out[i][2] = self.aqueous.differentiate_velocity(i)
 
 
 def steps_of(scene, cloud, count: int):

@@ -72,8 +72,8 @@ class Sampler:
         as in `Coupling.advance`.
         """
         nodes, kick_dt = self._nodes[eyes], 0.5 * (dt + dt_before)
+        plan = plan_of(eyes, steps, dt, kick_dt, puff_apex)
         if backend.on_cpu() and (len(eyes) >= backend.threads() or nodes.max() <= SERIAL_NODES):
-            plan = plan_of(eyes, steps, dt, kick_dt, puff_apex)
             if len(eyes) == 1:
                 # at rest there is nothing to step: the film's first frame need not wait for that kernel to compile
                 if steps[0]:
@@ -83,6 +83,6 @@ class Sampler:
                 # the most costly first, so that no thread is left with one at the end
                 self._take_each(plan[np.argsort(-steps * nodes, kind="stable")], self.rows)
         else:
-            self.coupling.advance_in_parallel(eyes, steps, dt, kick_dt, puff_apex)
+            self.coupling.advance_in_parallel(plan)
             self.motion.move_nodes()
             self.survey.measure(eyes.astype(np.int32), self.rows)

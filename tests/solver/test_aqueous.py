@@ -76,7 +76,7 @@ def test_momentum_of_the_squeeze_flow_is_exact_on_moving_nodes(squeezed):
     exact = flow.change_at_a_place(places) + carried
     fixed = liquid.cloud.kind == FIXED
     np.testing.assert_allclose(change[~fixed], exact[~fixed], rtol=0, atol=1e-7 * np.abs(exact).max())
-    assert not liquid.get(liquid.aqueous.candidate)[fixed].any()
+    assert not liquid.get(liquid.aqueous.velocity)[fixed].any()
 
 
 def test_continuity_of_the_squeeze_flow_only_carries_pressure_past_moving_nodes(squeezed):
@@ -286,7 +286,7 @@ def test_weights_come_back_bit_for_bit_with_the_nodes(liquid, chamber):
     cloud = chamber(0.3)
     liquid.fill(cloud)
     operators = liquid.aqueous.operators
-    weights = operators.gradient_weight, operators.laplacian_weight, operators.pair_arm
+    weights = operators.gradient_weight, operators.laplacian_weight, operators.pair_weight
     before = [field.to_numpy() for field in weights]
     liquid.carry(dent(cloud, 1.0))
     assert np.abs(weights[0].to_numpy() - before[0]).max() > 0.0
