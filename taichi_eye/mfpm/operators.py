@@ -310,10 +310,10 @@ class MfpmOperators:
             bent += weight * (other - slope)
             gradient += self.gradient_weight[i, k] * d[0]
         x, arm = self.anchor[i], self.arm_sum[i]
+        bent = bent * ti.Vector([x[0], x[1], x[0], x[1]]) - slope * ti.Vector([arm[0], arm[1], arm[0], arm[1]])
         # what is not needed of the four is read too, see `_scalar_roughness`
         unused = 0.0 * apart[0] + apart[3]
-        rough = ti.Vector([unused + apart[1] + (bent[0] * x[0] + bent[1] * x[1]) - (slope[0] * arm[0] + slope[1] * arm[1]),
-                           apart[2] + (bent[2] * x[0] + bent[3] * x[1]) - (slope[2] * arm[0] + slope[3] * arm[1])])
+        rough = ti.Vector([unused + apart[1] + (bent[0] + bent[1]), apart[2] + (bent[2] + bent[3])])
         return gradient, rough
 
     @ti.func

@@ -100,14 +100,14 @@ def test_slip_takes_the_normal_velocity_of_the_wall_and_no_other(liquid, chamber
     liquid.fill(cloud)
     wall = cloud.points[:cloud.wall_count] + 0.02 * MM * rng.normal(size=(cloud.wall_count, 2))
     liquid.carry(wall, rebuild=False)
-    candidate, moving = rng.normal(size=(cloud.count, 2)), rng.normal(size=(cloud.wall_count, 2))
-    met = liquid.meet(candidate, moving)
+    kicked, moving = rng.normal(size=(cloud.count, 2)), rng.normal(size=(cloud.wall_count, 2))
+    met = liquid.meet(kicked, moving)
     along = wall[2:] - wall[:-2]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     normal = along[:, ::-1] * (-1.0, 1.0)
     slipping = slice(1, cloud.wall_count - 1)
     np.testing.assert_allclose(((met - moving)[slipping] * normal).sum(1), 0.0, atol=1e-12)
-    np.testing.assert_allclose(((met - candidate[:cloud.wall_count])[slipping] * along).sum(1), 0.0, atol=1e-12)
+    np.testing.assert_allclose(((met - kicked[:cloud.wall_count])[slipping] * along).sum(1), 0.0, atol=1e-12)
     # the apex and the limbus go with the wall
     np.testing.assert_array_equal(met[[0, -1]], moving[[0, -1]])
 
@@ -124,12 +124,12 @@ def test_sliding_nodes_keep_to_their_line_and_fixed_ones_to_their_place(liquid, 
     cloud, rng = chamber(0.25, 7.8, 3.6), np.random.default_rng(seed)
     liquid.fill(cloud, dissipation=0.5)
     liquid.set_fields(1e3 * rng.normal(size=cloud.count), rng.normal(size=(cloud.count, 2)))
-    candidate = liquid.kick(1e-7)
+    kicked = liquid.kick(1e-7)
     slide = cloud.kind == SLIDE
     across = cloud.direction[slide][:, ::-1] * (-1.0, 1.0)
-    np.testing.assert_allclose((candidate[slide] * across).sum(1), 0.0, atol=1e-14)
-    assert np.abs(candidate[slide]).max() > 0.1
-    assert not candidate[cloud.kind == FIXED].any()
+    np.testing.assert_allclose((kicked[slide] * across).sum(1), 0.0, atol=1e-14)
+    assert np.abs(kicked[slide]).max() > 0.1
+    assert not kicked[cloud.kind == FIXED].any()
 
 
 @pytest.mark.parametrize("viscosity", [1e-3, 0.05])
@@ -140,7 +140,7 @@ def test_viscosity_accelerates_by_the_vector_laplacian(liquid, chamber, viscosit
     r, z = cloud.points.T
     velocity = np.column_stack([a * r * z, b * r**2 + d * z**2])
     divergence = 2 * a * z + 2 * d * z
-    liquid.set_fields(-viscosity / 3.0 * divergence, velocity)
+    liquid.set_fields(np.zeros(cloud.count), velocity)
     np.testing.assert_allclose(liquid.get(liquid.aqueous.divergence), divergence, atol=1e-9 * np.abs(divergence).max())
     # nodes that go with the flow: no convection; the wall's share is zero here, so take convection out by hand
     gradient = liquid.get(liquid.aqueous.velocity_gradient)
