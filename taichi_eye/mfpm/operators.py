@@ -20,14 +20,23 @@ Dissipation. Plain collocation is unstable between walls. P ("roughness") is a r
     P_i f = sum_j [2 (f_j - f_i) - (grad f_i + grad f_j) . d] w_ij / (|d|^2 sum_k w_ik),
 
 which vanishes for quadratic fields and on even stencils for cubic ones. Always built on the quadratic basis: with
-cubic gradients it has growing modes in the limbus wedge (up to 0.02 c/h).
+cubic gradients it has growing modes in the limbus wedge (up to 0.02 c/h). It is summed as
 
-Speed (4089 nodes, one thread of an EPYC; `taichi-eye bench --only step` measures it). A time step is two passes over
-the stencils, each reading its weights once and gathering pressure and velocity together: 27 + 31 ns a node, where
-gradients, Laplacian and dissipation each in a loop of their own took 19 + 41 + 65. Rows without images skip their
-decoding (25 against 32 ns for a bare gather). Sums are kept by component and added at the end, so that LLVM's
-vectoriser takes them (26 against 31). What did not pay: all weights of an entry in one vector (a third slower),
-unrolling 14 neighbours (compiles ten times longer, runs the same), rows as wide as the stencil (5 %).
+    P_i f = sum_j w'_ij [(s_j - s_i) + x_i . (g_j - g_i)] - g_i . sum_j w'_ij d,    s = 2 f - g . x,  g = grad f,
+    w'_ij = w_ij / (|d|^2 sum_k w_ik):
+
+what belongs to a neighbour is put together once, where the neighbour is, and one weight serves all its parts. Equal to
+the sum above to rounding (1e-14 of the apex history); x are the places that the weights were computed for.
+
+Speed (`taichi-eye bench --only step`; here in cycles a node of one thread of an EPYC, by the processor's counters, since
+clocks on a shared machine are no guide; 16093 nodes). A time step is two passes over the stencils, each reading its
+weights once and gathering pressure and velocity together: 130 + 140, beside 130 of a bare gather; with products of weight
+and distance d stored and each neighbour's gradients multiplied by them it took 180 + 195. Rows without images skip their
+decoding. Sums are four numbers wide and kept by component, so that LLVM's vectoriser takes them: with one number in four
+left unread it gives up, 590 instructions against 430. What did not pay: dissipation and Laplacian weights in f32 (their
+conversion costs what their memory saves, 112 against 99 for a bare gather), all weights of an entry in one vector (220
+against 127), unrolling 14 neighbours (compiles ten times longer, runs the same). Rows packed one after the other instead
+of WIDTH apart save 15 % of a pass, of the bare gather as well.
 """
 import taichi as ti
 
@@ -73,7 +82,8 @@ class MfpmOperators:
         self.laplacian_weight = ti.field(fp, shape)
         self.pair_weight = ti.field(fp, shape)
         self.pair_sum = ti.field(fp, neighbours.capacity)
-        self.anchor, self.arm_sum = (ti.Vector.field(2, fp, neighbours.capacity) for _ in range(2))
+        self.anchor, self.arm_sum = ti.Vector.field(2, fp), ti.Vector.field(2, fp)
+        ti.root.dense(ti.i, neighbours.capacity).place(self.anchor, self.arm_sum)
         self.mirrored = ti.field(ti.i32, neighbours.capacity)  # 1 where a stencil holds images
         self.condition = ti.field(fp, neighbours.capacity)
         self.moment = ti.field(fp, (neighbours.capacity, self.terms, self.terms))

@@ -22,6 +22,9 @@ compressible fluid: 0.01 at h = 0.1 mm. Loose coupling is unstable where it exce
 Pressure and velocity are staggered by half a step, so the pair is a leapfrog: second order in dt and without damping of
 its own; the dissipation is lagged. Steps 2 and 4 are one pass over the nodes each: the pressure's gradients go with the
 velocity's dissipation, which has its gradients from the step before, the velocity's with the pressure's.
+
+Nothing in step 2 needs step 1, so the code takes step 2 first: a step in parallel is three loops, one over the eyes
+between two over the nodes. P p is summed once for all sweeps; a sweep sums the divergence alone, over gradient weights.
 """
 import numpy as np
 import taichi as ti
@@ -71,7 +74,7 @@ class Coupling:
         # the most sweeps of a step and the worst residual since they were last read
         self.sweeps = ti.field(ti.i32, eyes)
         self.worst_residual, self.rest_enclosed = ti.field(fp, eyes), ti.field(fp, eyes)
-        self._march, self._step_all = _launches(self)
+        self.march_all, self._step_all = _launches(self)
 
     def setup(self, iterated: bool, aitken: bool, factor: float, tolerance: float, sweeps_max: int,
               eye: int = 0) -> None:
@@ -99,7 +102,7 @@ class Coupling:
         puff_apex = np.asarray(puff_apex, dtype=float)[None]
         plan = plan_of([0], puff_apex.size, dt, 0.5 * (dt + dt_before), puff_apex)
         if backend.on_cpu() and (self.aqueous.nodes[0] <= SERIAL_NODES or backend.threads() == 1):
-            self._march(plan)
+            self.march_all(plan)
         else:
             self.advance_in_parallel(plan)
 
@@ -225,7 +228,7 @@ class Coupling:
         self.aqueous.pressure_shift[eye] = self.aqueous.missing_pressure(eye, self.chamber_volume(eye))
 
     @ti.func
-    def _step_cornea(self, eye, puff, dt):
+    def step_cornea(self, eye, puff, dt):
         """Steps 1 and 3 of an eye, and the state of its cornea at the end of the step."""
         self._move_cornea(eye, puff, dt)
         self._settle_pressure(eye)
@@ -244,7 +247,7 @@ class Coupling:
                     kick_dt = dt
                 for i in range(first, end):
                     self.aqueous.kick(eye, i, kick_dt, self.cornea.velocity)
-                self._step_cornea(eye, float(plan[k, 4 + step]), dt)
+                self.step_cornea(eye, float(plan[k, 4 + step]), dt)
                 for i in range(first, end):
                     self.aqueous.compress(eye, i, dt, self.wall_velocity)
 
@@ -257,7 +260,7 @@ def _launches(coupling):
     aqueous, cornea = coupling.aqueous, coupling.cornea
 
     @ti.kernel
-    def march(plan: ti.types.ndarray()):
+    def march_all(plan: ti.types.ndarray()):
         ti.loop_config(serialize=True)
         for k in range(plan.shape[0]):
             coupling.march(int(plan[k, 0]), k, plan)
@@ -276,10 +279,10 @@ def _launches(coupling):
             coupling.going[eye] = 0
             if step < plan[eye, 1] and coupling.status[eye] == RUNNING:
                 coupling.going[eye] = 1
-                coupling._step_cornea(eye, float(plan[eye, 4 + step]), float(plan[eye, 2]))
+                coupling.step_cornea(eye, float(plan[eye, 4 + step]), float(plan[eye, 2]))
         for i in range(aqueous.neighbours.total[None]):
             eye = aqueous.neighbours.eye_of[i]
             if coupling.going[eye] == 1:
                 aqueous.compress(eye, i, float(plan[eye, 2]), coupling.wall_velocity)
 
-    return march, step_all
+    return march_all, step_all

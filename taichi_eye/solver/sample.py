@@ -17,16 +17,10 @@ BLOCK = 512  # least iterations of a parallel loop that Taichi hands to a CPU th
 
 
 def _launches(coupling: Coupling, motion: Motion, survey: Survey):
-    """The kernels of a sample: all steps of eyes one by one, the survey of one, both for many eyes in parallel.
+    """The kernels of a sample: the survey of an eye, and steps and survey of many eyes in parallel.
 
     Closures, since a launch of a method costs half as much again in Python.
     """
-
-    @ti.kernel
-    def march(plan: ti.types.ndarray()):
-        ti.loop_config(serialize=True)
-        for k in range(plan.shape[0]):
-            coupling.march(int(plan[k, 0]), k, plan)
 
     @ti.kernel
     def look(eye: int, rows: ti.types.ndarray()):
@@ -46,7 +40,7 @@ def _launches(coupling: Coupling, motion: Motion, survey: Survey):
                 motion.move_eye(eye)
                 survey.measure_eye(eye, rows)
 
-    return march, look, take_each
+    return look, take_each
 
 
 class Sampler:
@@ -57,7 +51,8 @@ class Sampler:
     """
 
     def __init__(self, coupling: Coupling, motion: Motion, survey: Survey):
-        self._march, self._look, self._take_each = _launches(coupling, motion, survey)
+        self._march = coupling.march_all
+        self._look, self._take_each = _launches(coupling, motion, survey)
         self.coupling, self.motion, self.survey, self._nodes = coupling, motion, survey, coupling.aqueous.nodes
         self.rows = np.zeros((len(self._nodes), len(QUANTITIES)))
 

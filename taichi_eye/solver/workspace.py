@@ -15,7 +15,9 @@ from taichi_eye.solver.sample import Sampler
 from taichi_eye.solver.survey import Survey
 
 SMALLEST = 2048  # nodes: scenes below share one set of kernels, in this process and in the offline cache
-SPREAD = 56  # nodes on top: a node's places in fields a power of two apart would all fall into the same few lines of a cache
+# nodes on top: a node's values in fields a power of two apart all fall into the same few lines of a cache (a tenth of a step
+# at 16000 nodes)
+SPREAD = 56
 FEWEST = 32  # eyes of a batch, likewise
 
 _free: dict[tuple, list] = {}

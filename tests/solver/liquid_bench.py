@@ -48,6 +48,7 @@ class Liquid:
             self.aqueous.rebuild()
 
     def set_fields(self, pressure, velocity):
+        """Pressure, which is the driving potential too, and velocity."""
         self.put(self.aqueous.pressure, pressure)
         self.put(self.aqueous.velocity, velocity)
         self._differentiate()
@@ -61,6 +62,7 @@ class Liquid:
     def _differentiate(self):
         for i in range(self.aqueous.count[0]):
             self.aqueous.find_velocity_gradient(0, i)
+            self.aqueous.lay_momentum_row(i, self.aqueous.pressure[i])
         for i in range(self.aqueous.count[0]):
             self.vector[i] = self.aqueous.differentiate_pressure(i)
 
