@@ -26,7 +26,7 @@ cubic gradients it has growing modes in the limbus wedge (up to 0.02 c/h). It is
     w'_ij = w_ij / (|d|^2 sum_k w_ik):
 
 what belongs to a neighbour is put together once, where the neighbour is, and one weight serves all its parts. Equal to
-the sum above to rounding (1e-14 of the apex history); x are the places that the weights were computed for.
+the sum above to rounding (at most 3e-14 of the apex history); x are the places that the weights were computed for.
 
 Speed (`taichi-eye bench --only step`; here in cycles a node of one thread of an EPYC, by the processor's counters, since
 clocks on a shared machine are no guide; 16093 nodes). A time step is two passes over the stencils, each reading its
