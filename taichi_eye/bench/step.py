@@ -2,9 +2,11 @@
 
 Bare gather: one kernel that for every node reads the frozen weights which a step needs at the least, gradient and
 Laplacian of its stencil, gathers pressure and velocity of the neighbours and writes grad p, grad u and lap u; f64, the
-same 14 neighbours, the same fields, one pass, images only where a stencil has them. The coupled step has to do more
+same 14 neighbours, the same weights, one pass, images only where a stencil has them. The coupled step has to do more
 than that: its two passes gather pressure, velocity and the gradients of both (the dissipation's), and between them the
 cornea moves and is matched to the liquid. "Own gathers" is those two passes without what is done with their results.
+On the processor's own counters a step takes 2.2 bare gathers at 4089 nodes and 2.6 at 16093, whose fields no longer fit
+the core's cache; launching the bare gather adds to its clock what a busy machine makes of waking a thread.
 
 Node-updates per second are nodes over time; the puff rises by 1 kPa/ms, about its steepest. A small scene is held
 against its nodes times the time of a node-update at 4000 nodes, all on one thread.
@@ -71,7 +73,7 @@ class Gathers:
             rough = self.aqueous.differentiate_pressure(i)
             self.out[i][0], self.out[i][1] = rough[0], rough[1]
         for i in range(self.aqueous.count[0]):
-            self.out[i][2] = self.aqueous.differentiate_velocity(i, True)
+            self.out[i][2] = self.aqueous.differentiate_velocity(i)
 
 
 def steps_of(scene, cloud, count: int):

@@ -20,14 +20,23 @@ Dissipation. Plain collocation is unstable between walls. P ("roughness") is a r
     P_i f = sum_j [2 (f_j - f_i) - (grad f_i + grad f_j) . d] w_ij / (|d|^2 sum_k w_ik),
 
 which vanishes for quadratic fields and on even stencils for cubic ones. Always built on the quadratic basis: with
-cubic gradients it has growing modes in the limbus wedge (up to 0.02 c/h).
+cubic gradients it has growing modes in the limbus wedge (up to 0.02 c/h). It is summed as
 
-Speed (4089 nodes, one thread of an EPYC; `taichi-eye bench --only step` measures it). A time step is two passes over
-the stencils, each reading its weights once and gathering pressure and velocity together: 27 + 31 ns a node, where
-gradients, Laplacian and dissipation each in a loop of their own took 19 + 41 + 65. Rows without images skip their
-decoding (25 against 32 ns for a bare gather). Sums are kept by component and added at the end, so that LLVM's
-vectoriser takes them (26 against 31). What did not pay: all weights of an entry in one vector (a third slower),
-unrolling 14 neighbours (compiles ten times longer, runs the same), rows as wide as the stencil (5 %).
+    P_i f = sum_j w'_ij [(s_j - s_i) + x_i . (g_j - g_i)] - g_i . sum_j w'_ij d,    s = 2 f - g . x,  g = grad f,
+    w'_ij = w_ij / (|d|^2 sum_k w_ik):
+
+what belongs to a neighbour is put together once, where the neighbour is, and one weight serves all its parts. Equal to
+the sum above to rounding (at most 3e-14 of the apex history); x are the places that the weights were computed for.
+
+Speed (`taichi-eye bench --only step`; here in cycles a node of one thread of an EPYC, by the processor's counters, since
+clocks on a shared machine are no guide; 16093 nodes). A time step is two passes over the stencils, each reading its
+weights once and gathering pressure and velocity together: 130 + 140, beside 130 of a bare gather; with products of weight
+and distance d stored and each neighbour's gradients multiplied by them it took 180 + 195. Rows without images skip their
+decoding. Sums are four numbers wide and kept by component, so that LLVM's vectoriser takes them: with one number in four
+left unread it gives up, 590 instructions against 430. What did not pay: dissipation and Laplacian weights in f32 (their
+conversion costs what their memory saves, 112 against 99 for a bare gather), all weights of an entry in one vector (220
+against 127), unrolling 14 neighbours (compiles ten times longer, runs the same). Rows packed one after the other instead
+of WIDTH apart save 15 % of a pass, of the bare gather as well.
 """
 import taichi as ti
 
@@ -49,6 +58,12 @@ def wendland(q):
     return left * left * left * left * (1.0 + 4.0 * q)
 
 
+@ti.func
+def _flat(matrix):
+    # LLVM's vectoriser takes four numbers in a row, and not a matrix of them
+    return ti.Vector([matrix[0, 0], matrix[0, 1], matrix[1, 0], matrix[1, 1]])
+
+
 @ti.data_oriented
 class MfpmOperators:
     """Operator coefficients over neighbour lists.
@@ -66,8 +81,9 @@ class MfpmOperators:
         self.gradient_weight = ti.Vector.field(2, fp, shape)
         self.laplacian_weight = ti.field(fp, shape)
         self.pair_weight = ti.field(fp, shape)
-        self.pair_arm = ti.Vector.field(2, fp, shape)
-        self.arm_sum = ti.Vector.field(2, fp, neighbours.capacity)
+        self.pair_sum = ti.field(fp, neighbours.capacity)
+        self.anchor, self.arm_sum = ti.Vector.field(2, fp), ti.Vector.field(2, fp)
+        ti.root.dense(ti.i, neighbours.capacity).place(self.anchor, self.arm_sum)
         self.mirrored = ti.field(ti.i32, neighbours.capacity)  # 1 where a stencil holds images
         self.condition = ti.field(fp, neighbours.capacity)
         self.moment = ti.field(fp, (neighbours.capacity, self.terms, self.terms))
@@ -205,13 +221,12 @@ class MfpmOperators:
             else:
                 self.laplacian_weight[i, k] = 2.0 * second_r + second_z
             self.pair_weight[i, k] = weight / d.norm_sqr()
-            self.pair_arm[i, k] = d * (weight / d.norm_sqr())
-        arm_sum = ti.Vector([0.0, 0.0])
+        pair_sum, arm_sum = 0.0, ti.Vector([0.0, 0.0])
         for k in range(self.size[i]):
             self.pair_weight[i, k] /= weight_sum
-            self.pair_arm[i, k] /= weight_sum
-            arm_sum += self.pair_arm[i, k]
-        self.arm_sum[i] = arm_sum
+            pair_sum += self.pair_weight[i, k]
+            arm_sum += self.pair_weight[i, k] * (place_of(points, self.neighbours.entry[i, k]) - points[i])
+        self.anchor[i], self.pair_sum[i], self.arm_sum[i] = points[i], pair_sum, arm_sum
 
     @ti.func
     def gradient_at(self, i, f: ti.template()):
@@ -221,6 +236,16 @@ class MfpmOperators:
         for k in range(self.size[i]):
             j, sign = image_of(self.neighbours.entry[i, k])
             total += self.gradient_weight[i, k] * (f[j] - here)
+        return total
+
+    @ti.func
+    def gradient_of_first(self, i, f: ti.template()):
+        """Gradient at node i of the first component, an even scalar, of a vector field."""
+        here = f[i][0]
+        total = ti.Vector([0.0, 0.0])
+        for k in range(self.size[i]):
+            j, sign = image_of(self.neighbours.entry[i, k])
+            total += self.gradient_weight[i, k] * (f[j][0] - here)
         return total
 
     @ti.func
@@ -256,70 +281,107 @@ class MfpmOperators:
         return j, sign
 
     @ti.func
-    def gradient_and_roughness(self, i, f: ti.template(), u: ti.template(), slopes: ti.template()):
-        """grad f of an even scalar and P u of a velocity field, whose gradients are `slopes`, in one pass over node i."""
+    def row_of_velocity(self, i, f, u, slopes):
+        """What `gradient_and_roughness` gathers from node i besides slopes: f, 2 u - slopes . x."""
+        x = self.anchor[i]
+        return ti.Vector([f, 2.0 * u[0] - (slopes[0, 0] * x[0] + slopes[0, 1] * x[1]),
+                          2.0 * u[1] - (slopes[1, 0] * x[0] + slopes[1, 1] * x[1]), 0.0])
+
+    @ti.func
+    def row_of_scalar(self, i, f, slope):
+        """What a scalar's roughness is gathered from at node i: 2 f - slope . x, slope."""
+        return ti.Vector([2.0 * f - slope.dot(self.anchor[i]), slope[0], slope[1], 0.0])
+
+    @ti.func
+    def gradient_and_roughness(self, i, rows: ti.template(), slopes: ti.template()):
+        """grad f of an even scalar and P u of a velocity field in one pass over node i; rows: `row_of_velocity`."""
         gradient, rough = ti.Vector([0.0, 0.0]), ti.Vector([0.0, 0.0])
         if self.mirrored[i] == 0:
-            gradient, rough = self._gradient_and_roughness(i, f, u, slopes, False)
+            gradient, rough = self._gradient_and_roughness(i, rows, slopes, False)
         else:
-            gradient, rough = self._gradient_and_roughness(i, f, u, slopes, True)
+            gradient, rough = self._gradient_and_roughness(i, rows, slopes, True)
         return gradient, rough
 
     @ti.func
-    def _gradient_and_roughness(self, i, f: ti.template(), u: ti.template(), slopes: ti.template(), images: ti.template()):
-        f_here, u_here, slope = f[i], u[i], slopes[i]
-        gradient, apart, bent = ti.Vector([0.0, 0.0]), ti.Vector([0.0, 0.0]), ti.Matrix([[0.0, 0.0], [0.0, 0.0]])
+    def _gradient_and_roughness(self, i, rows: ti.template(), slopes: ti.template(), images: ti.template()):
+        here, slope = rows[i], _flat(slopes[i])
+        gradient, apart = ti.Vector([0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0, 0.0])
+        bent = ti.Vector([0.0, 0.0, 0.0, 0.0])
         for k in range(self.size[i]):
             j, sign = self._neighbour(i, k, images)
-            arm, d, other = self.pair_arm[i, k], u[j], slopes[j]
+            d, other, weight = rows[j], _flat(slopes[j]), self.pair_weight[i, k]
             if ti.static(images):
                 # d/dz of an odd field and d/dr of an even one change sign at an image
-                d[0] *= sign
-                other[0, 1] *= sign
-                other[1, 0] *= sign
-            gradient += self.gradient_weight[i, k] * (f[j] - f_here)
-            apart += self.pair_weight[i, k] * (d - u_here)
-            bent += ti.Matrix([[other[0, 0] * arm[0], other[0, 1] * arm[1]], [other[1, 0] * arm[0], other[1, 1] * arm[1]]])
-        arm = self.arm_sum[i]
-        rough = ti.Vector([2.0 * apart[0] - (bent[0, 0] + bent[0, 1]) - (slope[0, 0] * arm[0] + slope[0, 1] * arm[1]),
-                           2.0 * apart[1] - (bent[1, 0] + bent[1, 1]) - (slope[1, 0] * arm[0] + slope[1, 1] * arm[1])])
+                d[1] *= sign
+                other[1] *= sign
+                other[2] *= sign
+            d -= here
+            apart += weight * d
+            bent += weight * (other - slope)
+            gradient += self.gradient_weight[i, k] * d[0]
+        x, arm = self.anchor[i], self.arm_sum[i]
+        bent = bent * ti.Vector([x[0], x[1], x[0], x[1]]) - slope * ti.Vector([arm[0], arm[1], arm[0], arm[1]])
+        # what is not needed of the four is read too, see `_scalar_roughness`
+        unused = 0.0 * apart[0] + apart[3]
+        rough = ti.Vector([unused + apart[1] + (bent[0] + bent[1]), apart[2] + (bent[2] + bent[3])])
         return gradient, rough
 
     @ti.func
-    def derivatives_and_roughness(self, i, points: ti.template(), u: ti.template(), f: ti.template(), slopes: ti.template(),
-                                  apart: ti.template()):
-        """Gradient and vector Laplacian of u, and P f of a scalar, whose gradients are `slopes`, in one pass over node i.
-
-        apart: rows without images have code of their own, which is quicker and longer to compile.
-        """
+    def derivatives_and_roughness(self, i, points: ti.template(), u: ti.template(), rows: ti.template()):
+        """Gradient and vector Laplacian of u, and P f of a scalar, in one pass over node i; rows: `row_of_scalar`."""
         gradient, laplacian, rough = ti.Matrix([[0.0, 0.0], [0.0, 0.0]]), ti.Vector([0.0, 0.0]), 0.0
-        if ti.static(not apart):
-            gradient, laplacian, rough = self._derivatives_and_roughness(i, u, f, slopes, True)
-        elif self.mirrored[i] == 0:
-            gradient, laplacian, rough = self._derivatives_and_roughness(i, u, f, slopes, False)
+        if self.mirrored[i] == 0:
+            gradient, laplacian, rough = self._derivatives_and_roughness(i, u, rows, False)
         else:
-            gradient, laplacian, rough = self._derivatives_and_roughness(i, u, f, slopes, True)
+            gradient, laplacian, rough = self._derivatives_and_roughness(i, u, rows, True)
         return gradient, self._vector_laplacian(i, points, u, laplacian), rough
 
     @ti.func
-    def _derivatives_and_roughness(self, i, u: ti.template(), f: ti.template(), slopes: ti.template(),
-                                   images: ti.template()):
-        f_here, u_here = f[i], u[i]
-        gradient, laplacian = ti.Matrix([[0.0, 0.0], [0.0, 0.0]]), ti.Vector([0.0, 0.0])
-        apart, bent = 0.0, ti.Vector([0.0, 0.0])
+    def _derivatives_and_roughness(self, i, u: ti.template(), rows: ti.template(), images: ti.template()):
+        u_here, here = u[i], rows[i]
+        gradient, laplacian = ti.Vector([0.0, 0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0])
+        apart = ti.Vector([0.0, 0.0, 0.0, 0.0])
         for k in range(self.size[i]):
             j, sign = self._neighbour(i, k, images)
-            weight, arm, d, other = self.gradient_weight[i, k], self.pair_arm[i, k], u[j], slopes[j]
+            weight, d, other = self.gradient_weight[i, k], u[j], rows[j]
             if ti.static(images):
                 d[0] *= sign
-                other[0] *= sign
+                other[1] *= sign
             d -= u_here
-            gradient += ti.Matrix([[d[0] * weight[0], d[0] * weight[1]], [d[1] * weight[0], d[1] * weight[1]]])
+            other -= here
+            gradient += ti.Vector([weight[0] * d[0], weight[1] * d[0], weight[0] * d[1], weight[1] * d[1]])
             laplacian += self.laplacian_weight[i, k] * d
-            apart += self.pair_weight[i, k] * (f[j] - f_here)
-            bent += ti.Vector([other[0] * arm[0], other[1] * arm[1]])
-        rough = 2.0 * apart - (bent[0] + bent[1]) - slopes[i].dot(self.arm_sum[i])
-        return gradient, laplacian, rough
+            apart += self.pair_weight[i, k] * other
+        return (ti.Matrix([[gradient[0], gradient[1]], [gradient[2], gradient[3]]]), laplacian,
+                self._scalar_roughness(i, here, apart))
+
+    @ti.func
+    def _scalar_roughness(self, i, here, apart):
+        x, arm = self.anchor[i], self.arm_sum[i]
+        # the fourth is 0, and read so that the sum stays four numbers wide: LLVM's vectoriser takes those
+        return apart[0] + (apart[1] * x[0] + apart[2] * x[1]) - (here[1] * arm[0] + here[2] * arm[1]) + apart[3]
+
+    @ti.func
+    def roughness_at(self, i, rows: ti.template()):
+        """P f at node i of a scalar; rows: `row_of_scalar`."""
+        here, apart = rows[i], ti.Vector([0.0, 0.0, 0.0, 0.0])
+        for k in range(self.size[i]):
+            j, sign = self._neighbour(i, k, True)
+            other = rows[j]
+            other[1] *= sign
+            apart += self.pair_weight[i, k] * (other - here)
+        return self._scalar_roughness(i, here, apart)
+
+    @ti.func
+    def divergence_at(self, i, points: ti.template(), u: ti.template()):
+        """Axisymmetric divergence at node i of a velocity field (u_r odd, u_z even)."""
+        here, total = u[i], ti.Vector([0.0, 0.0])
+        for k in range(self.size[i]):
+            j, sign = self._neighbour(i, k, True)
+            d = u[j]
+            d[0] *= sign
+            total += (d - here) * self.gradient_weight[i, k]
+        return self.divergence_from(i, points, u, ti.Matrix([[total[0], 0.0], [0.0, total[1]]]))
 
     @ti.func
     def _vector_laplacian(self, i, points: ti.template(), u: ti.template(), componentwise):
@@ -371,7 +433,7 @@ class MfpmOperators:
     def divergence(self, points: ti.template(), u: ti.template(), out: ti.template()):
         """out[i] = axisymmetric divergence of the velocity field u at every node."""
         for i in range(self.neighbours.total[None]):
-            out[i] = self.divergence_from(i, points, u, self.velocity_gradient_at(i, u))
+            out[i] = self.divergence_at(i, points, u)
 
     @ti.kernel
     def velocity_laplacian(self, points: ti.template(), u: ti.template(), out: ti.template()):

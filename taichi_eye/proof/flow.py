@@ -84,9 +84,7 @@ class Flow:
             for g in range(self.copied[None]):
                 self._copy_velocity(g)
             for i in range(self.own[None]):
-                self.aqueous.find_velocity_gradient(i)
-                self.aqueous.potential[i] = (self.aqueous.pressure[i]
-                                             - self.aqueous.viscosity[0] / 3.0 * self.aqueous.divergence[i])
+                self.aqueous.find_velocity_gradient(0, i)
             for g in range(self.copied[None]):
                 self._copy_velocity_gradient(g)
                 self._copy_pressure(g)
@@ -103,23 +101,22 @@ class Flow:
 
     @ti.func
     def _copy_pressure(self, g):
-        self.aqueous.pressure[self.own[None] + g] = self.aqueous.pressure[self.source[g]]
-        self.aqueous.potential[self.own[None] + g] = self.aqueous.potential[self.source[g]]
+        copy, source = self.own[None] + g, self.source[g]
+        self.aqueous.pressure[copy] = self.aqueous.pressure[source]
+        self.aqueous.lay_momentum_row(copy, self.aqueous.momentum_row[source][0])
 
     @ti.func
     def _copy_kicked(self, g):
-        copy = self.own[None] + g
-        self.aqueous.driving[copy] = self.aqueous.driving[self.source[g]]
-        self.aqueous.candidate[copy] = self.sign[g] * self.aqueous.candidate[self.source[g]]
-        self.aqueous.pressure_gradient[copy] = self.sign[g] * self.aqueous.pressure_gradient[self.source[g]]
-        self.aqueous.smooth_gradient[copy] = self.sign[g] * self.aqueous.smooth_gradient[self.source[g]]
+        copy, row = self.own[None] + g, self.aqueous.continuity_row[self.source[g]]
+        self._copy_velocity(g)
+        self.aqueous.continuity_row[copy] = self.aqueous.smoother.row_of_scalar(
+            copy, self.aqueous.momentum_row[copy][0], self.sign[g] * ti.Vector([row[1], row[2]]))
 
     @ti.func
     def _copy_velocity_gradient(self, g):
         both = self.sign[g].outer_product(self.sign[g])
         self.aqueous.velocity_gradient[self.own[None] + g] = both * self.aqueous.velocity_gradient[self.source[g]]
-        self.aqueous.smooth_velocity_gradient[self.own[None] + g] = (both
-                                                                 * self.aqueous.smooth_velocity_gradient[self.source[g]])
+        self.aqueous.slopes[self.own[None] + g] = both * self.aqueous.slopes[self.source[g]]
 
     @ti.func
     def _step(self, dt, force):
@@ -127,15 +124,14 @@ class Flow:
             self.aqueous.kick(0, i, dt, self.still)
         for i in range(self.own[None]):
             if self.aqueous.kind[i] == WALL:
-                self.aqueous.candidate[i] = self.prescribed[i]
+                self.aqueous.velocity[i] = self.prescribed[i]
             if force != 0.0 and (self.aqueous.kind[i] == FREE or self.aqueous.slide[i][1] == 1.0):
-                self.aqueous.candidate[i][1] += dt * force / self.aqueous.density(0, i)
+                self.aqueous.velocity[i][1] += dt * force / self.aqueous.density(0, i)
         for g in range(self.copied[None]):
             self._copy_kicked(g)
         for i in range(self.own[None]):
             self.aqueous.compress(0, i, dt, self.still)
         for g in range(self.copied[None]):
-            self._copy_velocity(g)
             self._copy_velocity_gradient(g)
             self._copy_pressure(g)
         self._settle()

@@ -76,9 +76,7 @@ class CoupledSystem:
                 self.cornea.acceleration[i] = self.acceleration_scale[None] * ti.Vector([state[at + 4 * w],
                                                                                    state[at + 4 * w + 1]])
             for i in range(n):
-                self.aqueous.find_velocity_gradient(i)
-                self.aqueous.potential[i] = (self.aqueous.pressure[i]
-                                             - self.aqueous.viscosity[0] / 3.0 * self.aqueous.divergence[i])
+                self.aqueous.find_velocity_gradient(0, i)
             self.aqueous.last_volume[0] = self.coupling.chamber_volume(0)
 
     @ti.kernel

@@ -29,9 +29,9 @@ class _Gap:
 
     @ti.kernel
     def evaluate(self, dt: float):
-        """candidate: velocity after dt along the moving node; rate: dp/dt along it."""
+        """velocity: after dt along the moving node; rate: dp/dt along it."""
         for i in range(self.count):
-            self.aqueous.find_velocity_gradient(i)
+            self.aqueous.find_velocity_gradient(0, i)
         for i in range(self.count):
             self.aqueous.kick(0, i, dt, self.top_velocity)
         for i in range(self.count):
@@ -79,10 +79,9 @@ def _rate_errors(cloud, density, c, basis):
     pressure = density * (0.25 * r**2 * (acceleration / gap - 1.5 * (speed / gap) ** 2) - 0.5 * z**2 * acceleration / gap)
     liquid.aqueous.velocity.from_numpy(velocity)
     liquid.aqueous.pressure.from_numpy(pressure)
-    liquid.aqueous.potential.from_numpy(pressure)
     dt = 1e-6
     liquid.evaluate(dt)
-    rate = (liquid.aqueous.candidate.to_numpy() - velocity) / dt
+    rate = (liquid.aqueous.velocity.to_numpy() - velocity) / dt
     carried = np.column_stack([-0.5 * r * (acceleration / gap - (speed / gap) ** 2), acceleration * z / gap])
     # the pressure force acts on rho0 + p/c^2 here, on rho0 in the exact flow
     force = np.column_stack([-0.5 * r * (acceleration / gap - 1.5 * (speed / gap) ** 2), acceleration * z / gap])

@@ -76,15 +76,22 @@ class Aqueous:
         self.sealed, self.outflow = ti.field(ti.i32, eyes), ti.field(fp, eyes)  # q [1/s], 0 where sealed
         vector = lambda: ti.Vector.field(2, fp, capacity)
         scalar = lambda: ti.field(fp, capacity)
-        self.rest, self.place, self.velocity, self.candidate, self.slide = (vector() for _ in range(5))
-        self.pressure, self.potential, self.divergence, self.volume = (scalar() for _ in range(4))
-        self.pressure_gradient, self.laplacian, self.smooth_gradient = vector(), vector(), vector()
+        self.rest, self.place, self.velocity, self.slide = (vector() for _ in range(4))
+        self.divergence, self.pressure, self.roughness_work, self.laplacian = scalar(), scalar(), scalar(), vector()
+        self.volume, self.wall_fraction, self.height_fraction = (ti.field(fp) for _ in range(3))
+        self.kind, self.wall_index = ti.field(ti.i32), ti.field(ti.i32)
+        self.viscous_loss, self.numerical_loss = ti.field(fp), ti.field(fp)
+        # what a pass reads together lies together: fewer streams from memory at once
+        for together in ((self.viscous_loss, self.numerical_loss),
+                         (self.volume, self.wall_fraction, self.height_fraction, self.kind, self.wall_index)):
+            ti.root.dense(ti.i, capacity).place(*together)
         self.velocity_gradient = ti.Matrix.field(2, 2, fp, capacity)
-        self.smooth_velocity_gradient = ti.Matrix.field(2, 2, fp, capacity)
-        self.driving, self.viscous_loss, self.numerical_loss, self.roughness_work = (scalar() for _ in range(4))
+        self.slopes = self.velocity_gradient
+        if basis != "quadratic":
+            self.slopes, self.pressure_gradient = ti.Matrix.field(2, 2, fp, capacity), vector()
+        # what the two passes of a step gather from a node, see `row_of_velocity` and `row_of_scalar`
+        self.momentum_row, self.continuity_row = (ti.Vector.field(4, fp, capacity) for _ in range(2))
         self.outflow_loss = scalar()
-        self.kind, self.wall_index = ti.field(ti.i32, capacity), ti.field(ti.i32, capacity)
-        self.wall_fraction, self.height_fraction = scalar(), scalar()
         self.triangle_count = ti.field(ti.i32, eyes)
         self.triangle = ti.field(ti.i32, (2 * capacity, 3))
         self.rest_area = ti.field(fp, 2 * capacity)
@@ -138,12 +145,13 @@ class Aqueous:
             self.corner_count[i] = corner_count[n]
             for k in range(CORNERS):
                 self.corner[i, k] = 2 * first + corner[n, k]
-            self.velocity[i], self.candidate[i], self.laplacian[i] = zero, zero, zero
-            self.pressure[i], self.potential[i], self.divergence[i] = 0.0, 0.0, 0.0
-            self.pressure_gradient[i], self.smooth_gradient[i] = zero, zero
+            self.velocity[i], self.laplacian[i] = zero, zero
+            self.pressure[i], self.divergence[i] = 0.0, 0.0
             self.velocity_gradient[i] = ti.Matrix([[0.0, 0.0], [0.0, 0.0]])
-            self.smooth_velocity_gradient[i] = ti.Matrix([[0.0, 0.0], [0.0, 0.0]])
-            self.driving[i], self.viscous_loss[i], self.numerical_loss[i], self.roughness_work[i] = 0.0, 0.0, 0.0, 0.0
+            self.slopes[i] = ti.Matrix([[0.0, 0.0], [0.0, 0.0]])
+            self.momentum_row[i] = ti.Vector([0.0, 0.0, 0.0, 0.0])
+            self.continuity_row[i] = ti.Vector([0.0, 0.0, 0.0, 0.0])
+            self.viscous_loss[i], self.numerical_loss[i], self.roughness_work[i] = 0.0, 0.0, 0.0
             self.outflow_loss[i] = 0.0
 
     @ti.kernel
@@ -184,6 +192,7 @@ class Aqueous:
         for i in range(self.neighbours.total[None]):
             if due[self.neighbours.eye_of[i]] == 1:
                 self.volume[i] = self.volume_of(i)
+                self.lay_momentum_row(i, self.momentum_row[i][0])
 
     @ti.func
     def volume_of(self, i):
@@ -218,69 +227,76 @@ class Aqueous:
         return self.density0[eye] + self.pressure[i] / self.sound_speed[eye] ** 2
 
     @ti.func
-    def find_velocity_gradient(self, i):
-        """Velocity gradient, Laplacian and divergence at node i: what the first step starts from."""
+    def find_velocity_gradient(self, eye, i):
+        """All that a step takes over from the one before, from pressure and velocity: what the first step starts from."""
         self.velocity_gradient[i] = self.operators.velocity_gradient_at(i, self.velocity)
         self.laplacian[i] = self.operators.velocity_laplacian_at(i, self.place, self.velocity)
         self.divergence[i] = self.operators.divergence_from(i, self.place, self.velocity, self.velocity_gradient[i])
         if ti.static(self.basis != "quadratic"):
-            self.smooth_velocity_gradient[i] = self.smoother.velocity_gradient_at(i, self.velocity)
+            self.slopes[i] = self.smoother.velocity_gradient_at(i, self.velocity)
+        self.lay_momentum_row(i, self.pressure[i] - self.viscosity[eye] / 3.0 * self.divergence[i])
+
+    @ti.func
+    def lay_momentum_row(self, i, potential):
+        """Lay out what `kick` gathers from node i; potential: p - mu/3 div u [Pa]."""
+        self.momentum_row[i] = self.smoother.row_of_velocity(i, potential, self.velocity[i], self.slopes[i])
 
     @ti.func
     def differentiate_pressure(self, i):
-        """Gradient of p - mu/3 div u, kept, and P u [1/(m s)] at node i (see `taichi_eye.mfpm.operators`)."""
-        rough = ti.Vector([0.0, 0.0])
-        if ti.static(self.basis == "quadratic"):
-            self.pressure_gradient[i], rough = self.operators.gradient_and_roughness(
-                i, self.potential, self.velocity, self.velocity_gradient)
-        else:
-            self.pressure_gradient[i] = self.operators.gradient_at(i, self.potential)
-            self.smooth_gradient[i], rough = self.smoother.gradient_and_roughness(
-                i, self.potential, self.velocity, self.smooth_velocity_gradient)
+        """P u [1/(m s)] at node i (see `taichi_eye.mfpm.operators`); keeps the gradient of p - mu/3 div u."""
+        smooth, rough = self.smoother.gradient_and_roughness(i, self.momentum_row, self.slopes)
+        self.continuity_row[i] = self.smoother.row_of_scalar(i, self.momentum_row[i][0], smooth)
+        if ti.static(self.basis != "quadratic"):
+            self.pressure_gradient[i] = self.operators.gradient_of_first(i, self.momentum_row)
         return rough
 
     @ti.func
-    def differentiate_velocity(self, i, apart: ti.template()):
-        """Gradient and Laplacian of the candidate velocity, kept, and P p [Pa/m^2] of the pressure that drove it.
+    def driving_gradient(self, i):
+        """The gradient of p - mu/3 div u that drove node i."""
+        gradient = ti.Vector([self.continuity_row[i][1], self.continuity_row[i][2]])
+        if ti.static(self.basis != "quadratic"):
+            gradient = self.pressure_gradient[i]
+        return gradient
 
-        apart: as in `MfpmOperators.derivatives_and_roughness`.
-        """
+    @ti.func
+    def differentiate_velocity(self, i):
+        """Gradient and Laplacian of the velocity, kept, and P p [Pa/m^2] of the pressure that drove it."""
         rough = 0.0
         if ti.static(self.basis == "quadratic"):
             self.velocity_gradient[i], self.laplacian[i], rough = self.operators.derivatives_and_roughness(
-                i, self.place, self.candidate, self.driving, self.pressure_gradient, apart)
+                i, self.place, self.velocity, self.continuity_row)
         else:
-            self.velocity_gradient[i] = self.operators.velocity_gradient_at(i, self.candidate)
-            self.laplacian[i] = self.operators.velocity_laplacian_at(i, self.place, self.candidate)
-            self.smooth_velocity_gradient[i], unused, rough = self.smoother.derivatives_and_roughness(
-                i, self.place, self.candidate, self.driving, self.smooth_gradient, apart)
+            self.velocity_gradient[i] = self.operators.velocity_gradient_at(i, self.velocity)
+            self.laplacian[i] = self.operators.velocity_laplacian_at(i, self.place, self.velocity)
+            self.slopes[i], unused, rough = self.smoother.derivatives_and_roughness(
+                i, self.place, self.velocity, self.continuity_row)
         return rough
 
     @ti.func
     def kick(self, eye, i, dt, wall_velocity: ti.template()):
-        """Momentum: the candidate velocity of node i half a step later."""
+        """Momentum: the velocity of node i half a step later. Its neighbours do not read it, so it may take its place."""
         rough = self.dissipation_length[eye] * self.differentiate_pressure(i)
-        self.driving[i] = self.potential[i]
         rho = self.density(eye, i)
-        slip = self.velocity[i] - self.wall_share(i, wall_velocity)
+        before = self.velocity[i]
+        slip = before - self.wall_share(i, wall_velocity)
         gradient = self.velocity_gradient[i]
         carried = ti.Vector([gradient[0, 0] * slip[0] + gradient[0, 1] * slip[1],
                              gradient[1, 0] * slip[0] + gradient[1, 1] * slip[1]])
-        push = (self.viscosity[eye] * self.laplacian[i] - self.pressure_gradient[i]) / rho - carried + rough
-        candidate = self.velocity[i] + dt * push
+        push = (self.viscosity[eye] * self.laplacian[i] - self.driving_gradient(i)) / rho - carried + rough
+        velocity = before + dt * push
         felt = rough
         if self.kind[i] != FREE:
             if self.kind[i] == SLIDE:
-                candidate = self.slide[i] * self.slide[i].dot(candidate)
+                velocity = self.slide[i] * self.slide[i].dot(velocity)
                 if self.no_slip[eye] == 1 and self.place[i][0] > 0.0:
-                    candidate = ti.Vector([0.0, 0.0])
+                    velocity = ti.Vector([0.0, 0.0])
             elif self.kind[i] == FIXED:
-                candidate = ti.Vector([0.0, 0.0])
+                velocity = ti.Vector([0.0, 0.0])
             if self.no_slip[eye] == 1:
-                # the wall sets this velocity, not the candidate
+                # the wall sets this velocity
                 felt = ti.Vector([0.0, 0.0])
-        self.candidate[i] = candidate
-        self.roughness_work[i] = -0.5 * dt * rho * (candidate + self.velocity[i]).dot(felt)
+        self.velocity[i] = velocity
+        self.roughness_work[i] = -0.5 * dt * rho * (velocity + before).dot(felt)
 
     @ti.func
     def meet_wall(self, eye, i, wall_place: ti.template(), wall_velocity):
@@ -289,29 +305,28 @@ class Aqueous:
         if self.no_slip[eye] == 0 and i > self.first[eye] and self.kind[i] == WALL:
             along = (wall_place[i + 1] - wall_place[i - 1]).normalized()
             normal = ti.Vector([-along[1], along[0]])
-            velocity = self.candidate[i] + normal * normal.dot(wall_velocity - self.candidate[i])
+            velocity = self.velocity[i] + normal * normal.dot(wall_velocity - self.velocity[i])
         return velocity
 
     @ti.func
     def pressure_rate(self, eye, i, divergence, rough, wall_velocity: ti.template()):
-        """dp/dt [Pa/s] of node i with its candidate velocity's divergence and its P p given."""
-        slip = self.candidate[i] - self.wall_share(i, wall_velocity)
-        return (self.dissipation_length[eye] * rough - slip.dot(self.pressure_gradient[i])
+        """dp/dt [Pa/s] of node i with its velocity's divergence and its P p given."""
+        slip = self.velocity[i] - self.wall_share(i, wall_velocity)
+        return (self.dissipation_length[eye] * rough - slip.dot(self.driving_gradient(i))
                 - (self.density0[eye] * self.sound_speed[eye] ** 2 + self.pressure[i])
                 * (divergence + self.outflow[eye]))
 
     @ti.func
     def compress(self, eye, i, dt, wall_velocity: ti.template()):
-        """Continuity: node i takes its candidate velocity and the pressure that goes with it at the end of the step.
+        """Continuity: the pressure of node i at the end of the step, from the velocity in its middle.
 
         Also what the dissipation of pressure, viscosity and outflow have taken.
         """
-        rough = self.differentiate_velocity(i, True)
-        self.velocity[i] = self.candidate[i]
+        rough = self.differentiate_velocity(i)
         g, before = self.velocity_gradient[i], self.pressure[i]
-        divergence = self.operators.divergence_from(i, self.place, self.candidate, g)
+        divergence = self.operators.divergence_from(i, self.place, self.velocity, g)
         self.pressure[i] += dt * self.pressure_rate(eye, i, divergence, rough, wall_velocity) + self.pressure_shift[eye]
-        self.potential[i] = self.pressure[i] - self.viscosity[eye] / 3.0 * divergence
+        self.lay_momentum_row(i, self.pressure[i] - self.viscosity[eye] / 3.0 * divergence)
         hoop = divergence - g[0, 0] - g[1, 1]
         squares = g[0, 0] ** 2 + g[1, 1] ** 2 + hoop ** 2 + 0.5 * (g[0, 1] + g[1, 0]) ** 2 - divergence ** 2 / 3.0
         self.viscous_loss[i] += dt * self.volume[i] * 2.0 * self.viscosity[eye] * squares
@@ -331,8 +346,16 @@ class Aqueous:
         the globe yields, by compliance [m^3/Pa] times the mean pressure, that much aqueous humour has left, from everywhere
         alike: the eye behind the iris is not resolved.
         """
-        total, weight = 0.0, 0.0
-        for i in range(self.first[eye], self.first[eye] + self.count[eye]):
+        first, count = self.first[eye], self.count[eye]
+        # four sums side by side: one alone waits for its last addition
+        totals, weights = ti.Vector([0.0, 0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0, 0.0])
+        for k in range(count // 4):
+            i = first + 4 * k
+            shares = ti.Vector([self.volume[i], self.volume[i + 1], self.volume[i + 2], self.volume[i + 3]])
+            totals += shares * ti.Vector([self.pressure[i], self.pressure[i + 1], self.pressure[i + 2], self.pressure[i + 3]])
+            weights += shares
+        total, weight = totals.sum(), weights.sum()
+        for i in range(first + count - count % 4, first + count):
             total += self.volume[i] * self.pressure[i]
             weight += self.volume[i]
         mean, coming = 0.0, 0.0

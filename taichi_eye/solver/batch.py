@@ -28,7 +28,7 @@ from taichi_eye.solver import guards
 from taichi_eye.solver.folding import Folding
 from taichi_eye.solver.rest import place_cornea
 from taichi_eye.solver.survey import QUANTITIES
-from taichi_eye.solver.timestep import StepLimits
+from taichi_eye.solver.timestep import NAMES, StepLimits
 from taichi_eye.solver.workspace import borrow
 from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
 
@@ -92,23 +92,25 @@ class Batch:
         self.samples_per_frame = np.array([max(1, math.ceil(scene.camera.frame_interval_ms / SAMPLE_MS - 1e-9))
                                            for scene in self.scenes])
         self.sample_ms = np.array([scene.camera.frame_interval_ms for scene in self.scenes]) / self.samples_per_frame
+        self._span = self.sample_ms * MS
         self.samples = np.array([math.floor(scene.numerics.duration_ms / sample_ms + 1e-9)
                                  for scene, sample_ms in zip(self.scenes, self.sample_ms)])
         self.sample = 0
         self.steps, self.rebuilds, self.recorded = (np.zeros(eyes, dtype=int) for _ in range(3))
-        self.step_limit = np.full(eyes, "", dtype=object)
+        self._binding = np.full(eyes, -1)
         self.stops: list[RunStopped | None] = [None] * eyes
         self._limits, self._course = StepLimits(self.scenes), Puffs(self.puffs)
         self._rebuild_travel = np.array([scene.numerics.refresh_travel * cloud.spacing
                                          for scene, cloud in zip(self.scenes, self.clouds)])
-        self._condition_limit = CONDITION_LIMIT[self.scenes[0].numerics.basis]
-        self._least_stress = np.array([guards.least_stress(scene) for scene in self.scenes])
+        self._calm = guards.Calm(QUANTITIES, CONDITION_LIMIT[self.scenes[0].numerics.basis],
+                                 np.array([guards.least_stress(scene) for scene in self.scenes]))
         self._dt, self._largest_work = np.zeros(eyes), np.zeros(eyes)
         # the survey of every sample, a row to an eye; the eyes that it was last taken of, those that no guard has stopped
         self._history = np.zeros((self.samples.max() + 1, eyes, len(QUANTITIES)))
         self._eyes, self._going = np.arange(eyes), np.ones(eyes, dtype=bool)
-        self._figures = self.sampler.take(self._eyes, np.zeros(eyes, dtype=int), self._dt, self._dt, np.zeros((eyes, 1)),
-                                          self._history[0])
+        self._figures = self.sampler.figures(eyes)
+        self.sampler.take(self._eyes, np.zeros(eyes, dtype=int), self._dt, self._dt, np.zeros((eyes, 1)))
+        self._history[0] = self.sampler.rows[:eyes]
         self._refuse_ill_stencils()
 
     def _place_at_rest(self, eye: int) -> None:
@@ -170,6 +172,11 @@ class Batch:
             "cornea_min_stress_kpa": figures["least_stress"] * 1e-3,
         }
 
+    @property
+    def step_limit(self) -> list[str]:
+        """The limit that set the last time step of each eye; empty before the first one."""
+        return [NAMES[limit] if limit >= 0 else "" for limit in self._binding]
+
     def figures(self, eye: int) -> dict[str, float]:
         """The survey's figures of an eye at its last sample, by name."""
         return {name: float(column[eye]) for name, column in self._figures.items()}
@@ -179,20 +186,20 @@ class Batch:
         self._eyes = eyes = np.flatnonzero(self._going & (self.sample < self.samples))
         if not len(eyes):
             return False
-        span = self.sample_ms[eyes] * MS
-        limit, names = self._limits.stable_steps(self._figures)
-        self.step_limit[eyes] = names[eyes]
+        span = self._span[eyes]
+        limit, which = self._limits.stable_steps(self._figures)
+        self._binding[eyes] = which[eyes]
         steps = np.ceil(span / limit[eyes])
         dt = span / steps
-        steps = steps.astype(int)
-        times = np.zeros((len(self.scenes), steps.max()))
-        times[eyes] = (self.sample * span)[:, None] + dt[:, None] * np.arange(1, steps.max() + 1)
+        times = np.zeros((len(self.scenes), int(steps.max())))
+        times[eyes] = (self.sample * span)[:, None] + dt[:, None] * np.arange(1, times.shape[1] + 1)
         before = self._dt[eyes]
         self.sample += 1
-        self._figures = self.sampler.take(eyes, steps, dt, np.where(before > 0.0, before, dt),
-                                          self._course.pressure_at_apex(times)[eyes], self._history[self.sample])
+        self.sampler.take(eyes, steps, dt, np.where(before > 0.0, before, dt),
+                          self._course.pressure_at_apex(times)[eyes])
+        self._history[self.sample] = self.sampler.rows[:len(self.scenes)]
         self._dt[eyes] = dt
-        self.steps[eyes] += steps
+        self.steps[eyes] += steps.astype(int)
         return True
 
     def record(self) -> None:
@@ -200,14 +207,16 @@ class Batch:
         eyes, figures = self._eyes, self._figures
         self._largest_work = np.fmax(self._largest_work, np.abs(figures["puff_work"]))
         gained = _stored(figures) - figures["puff_work"]
-        calm = guards.calm(figures, gained, self._largest_work, self._condition_limit, self._least_stress)
-        for eye in eyes[~calm[eyes]]:
-            self._check(eye, gained[eye])
-        sound = eyes[self._going[eyes]]
-        self.recorded[sound] = self.sample + 1
-        due = np.zeros(len(self.scenes), dtype=np.int32)
-        due[sound] = figures["wall_travel"][sound] > self._rebuild_travel[sound]
-        if due.any():
+        calm = self._calm.where(self._history[self.sample], gained, self._largest_work)
+        if not calm.all():
+            for eye in eyes[~calm[eyes]]:
+                self._check(eye, gained[eye])
+            eyes = eyes[self._going[eyes]]
+        self.recorded[eyes] = self.sample + 1
+        travelled = figures["wall_travel"] > self._rebuild_travel
+        if travelled.any():
+            due = np.zeros(len(self.scenes), dtype=np.int32)
+            due[eyes] = travelled[eyes]
             self.aqueous.rebuild(due)
             self.survey.remember_build(due)
             self.rebuilds += due

@@ -17,10 +17,12 @@ motion, and a liquid so viscous that it matters is outside the model.
 """
 import math
 
+import numpy as np
+
 from taichi_eye.errors import RunStopped
 from taichi_eye.eye.tissue import biaxial_tangent
 from taichi_eye.mfpm.operators import CONDITION_LIMIT
-from taichi_eye.solver.coupling import NOT_CONVERGED
+from taichi_eye.solver.coupling import NOT_CONVERGED, RUNNING
 from taichi_eye.units import MM, MMHG
 
 FLAT = 0.05  # of its area at rest: a triangle this flat is about to turn over
@@ -110,19 +112,30 @@ def failing(stress: float, lobes: int | None) -> tuple[str, str]:
             "Lower puff.peak_kpa, raise eye.iop_mmhg, cornea.prestrain or cornea.flexural_modulus_mpa.")
 
 
-def calm(figures, energy_gain, largest_work, condition_limit, least):
-    """Where `check` has nothing to look at: a bool for each of many eyes, whose figures, gains and works are arrays.
+class Calm:
+    """Where `check` has nothing to look at, for many eyes at once: figures within bounds and their energy balanced.
 
-    least: their `least_stress`.
-
-    condition_limit: that of their basis; the viscous and the numerical loss are those of the figures.
+    names: columns of the rows; condition_limit: that of their basis; least [eyes]: their `least_stress`.
     """
-    allowed = ENERGY_SHARE * largest_work + ENERGY_FLOOR
-    churned = CHURN_SHARE * largest_work + ENERGY_FLOOR
-    return ((figures["least_stress"] > least) & (figures["chamber_gap"] >= CLOSED) & (figures["flattest_triangle"] >= FLAT)
-            & (figures["worst_condition"] < CONDITION_GROWTH * condition_limit) & (figures["not_finite"] == 0.0)
-            & (energy_gain <= allowed) & (energy_gain + figures["viscous_loss"] <= allowed)
-            & (energy_gain + figures["numerical_loss"] <= churned) & (figures["coupling_status"] != NOT_CONVERGED))
+
+    def __init__(self, names, condition_limit: float, least: np.ndarray):
+        self._low, self._high = np.full((2, len(least), len(names)), [[[-np.inf]], [[np.inf]]])
+        self._viscous, self._numerical = names.index("viscous_loss"), names.index("numerical_loss")
+        for bounds, name, value in ((self._low, "least_stress", np.nextafter(least, np.inf)), (self._low, "chamber_gap", CLOSED),
+                                    (self._low, "flattest_triangle", FLAT), (self._high, "not_finite", 0.0),
+                                    (self._high, "worst_condition", np.nextafter(CONDITION_GROWTH * condition_limit, 0.0)),
+                                    (self._high, "coupling_status", RUNNING)):
+            bounds[:, names.index(name)] = value
+
+    def where(self, rows, energy_gain, largest_work) -> np.ndarray:
+        """A bool for each eye; rows: their figures, the viscous and the numerical loss among them.
+
+        A figure that is NaN makes an eye look worse than it is, never better.
+        """
+        within = ((rows >= self._low) & (rows <= self._high)).all(1)
+        within &= energy_gain + np.maximum(rows[:, self._viscous], 0.0) <= ENERGY_SHARE * largest_work + ENERGY_FLOOR
+        within &= energy_gain + rows[:, self._numerical] <= CHURN_SHARE * largest_work + ENERGY_FLOOR
+        return within
 
 
 def _advice_unstable(scene) -> str:

@@ -180,9 +180,9 @@ class PotentialFlow:
     @ti.kernel
     def _show(self, potential: ti.types.ndarray(), rate: ti.types.ndarray(), density: float):
         for i in range(potential.shape[0]):
-            self.aqueous.potential[i] = potential[i]
+            self.aqueous.momentum_row[i][0] = potential[i]
         for i in range(potential.shape[0]):
-            velocity = self.aqueous.operators.gradient_at(i, self.aqueous.potential)
+            velocity = self.aqueous.operators.gradient_of_first(i, self.aqueous.momentum_row)
             carried = self.aqueous.wall_share(i, self.cornea.velocity)
             self.aqueous.velocity[i] = velocity
             self.aqueous.pressure[i] = -density * (rate[i] - carried.dot(velocity) + 0.5 * velocity.norm_sqr())

@@ -9,67 +9,75 @@ import numpy as np
 import taichi as ti
 
 from taichi_eye import backend
-from taichi_eye.solver.coupling import SERIAL_NODES, Coupling
+from taichi_eye.solver.coupling import SERIAL_NODES, Coupling, plan_of
 from taichi_eye.solver.motion import Motion
 from taichi_eye.solver.survey import QUANTITIES, Survey
 
 BLOCK = 512  # least iterations of a parallel loop that Taichi hands to a CPU thread at once
 
 
-@ti.data_oriented
-class Sampler:
-    """Takes eyes from one sample to the next."""
+def _launches(coupling: Coupling, motion: Motion, survey: Survey):
+    """The kernels of a sample: the survey of an eye, and steps and survey of many eyes in parallel.
 
-    def __init__(self, coupling: Coupling, motion: Motion, survey: Survey):
-        self.coupling, self.motion, self.survey = coupling, motion, survey
-
-    def take(self, eyes, steps, dt, dt_before, puff_apex, rows) -> dict[str, np.ndarray]:
-        """steps[k] steps of dt[k] [s] of each eye eyes[k]; its figures go into rows[eyes[k]] [eyes, quantities].
-
-        puff_apex [k, step] [Pa]: the puff on the axis at the end of each step; dt_before [k]: the step before this call,
-        as in `Coupling.advance`. Returns the columns of rows by name.
-        """
-        nodes, kick_dt = self.coupling.aqueous.nodes[eyes], 0.5 * (dt + dt_before)
-        if backend.on_cpu() and (len(eyes) >= backend.threads() or nodes.max() <= SERIAL_NODES):
-            pace = np.column_stack([eyes, steps, dt, kick_dt])
-            if len(eyes) == 1:
-                # at rest there is nothing to step: the film's first frame need not wait for that kernel to compile
-                if steps.any():
-                    self._march_one(pace, puff_apex)
-                self._survey_one(int(eyes[0]), rows)
-            else:
-                # the most costly first, so that no thread is left with one at the end
-                order = np.argsort(-steps * nodes, kind="stable")
-                self._take_each(pace[order], puff_apex[order], rows)
-        else:
-            self.coupling.advance_in_parallel(eyes, steps, dt, kick_dt, puff_apex)
-            self.motion.move_nodes()
-            self.survey.measure(eyes.astype(np.int32), rows)
-        return dict(zip(QUANTITIES, rows.T))
-
-    @ti.func
-    def _carry_through(self, k, pace: ti.template(), puff: ti.template(), rows: ti.template()):
-        eye = int(pace[k, 0])
-        self.coupling.march(eye, k, pace, puff)
-        self.motion.move_eye(eye)
-        self.survey.measure_eye(eye, rows)
+    Closures, since a launch of a method costs half as much again in Python.
+    """
 
     @ti.kernel
-    def _march_one(self, pace: ti.types.ndarray(), puff: ti.types.ndarray()):
-        ti.loop_config(serialize=True)
-        for k in range(pace.shape[0]):
-            self.coupling.march(int(pace[k, 0]), k, pace, puff)
-
-    @ti.kernel
-    def _survey_one(self, eye: int, rows: ti.types.ndarray()):
+    def look(eye: int, rows: ti.types.ndarray()):
         ti.loop_config(serialize=True)
         for once in range(1):
-            self.motion.move_eye(eye)
-            self.survey.measure_eye(eye, rows)
+            motion.move_eye(eye)
+            survey.measure_eye(eye, rows)
 
     @ti.kernel
-    def _take_each(self, pace: ti.types.ndarray(), puff: ti.types.ndarray(), rows: ti.types.ndarray()):
+    def take_each(plan: ti.types.ndarray(), rows: ti.types.ndarray()):
         # a block to an eye: 32 iterations, however heavy, would all go to one thread
-        for n in range(pace.shape[0] * BLOCK):
+        for n in range(plan.shape[0] * BLOCK):
             if n % BLOCK == 0:
-                self._carry_through(n // BLOCK, pace, puff, rows)
+                k = n // BLOCK
+                eye = int(plan[k, 0])
+                coupling.march(eye, k, plan)
+                motion.move_eye(eye)
+                survey.measure_eye(eye, rows)
+
+    return look, take_each
+
+
+class Sampler:
+    """Takes eyes from one sample to the next, and keeps the figures of their last ones.
+
+    rows [eyes, quantities]: the survey's figures; figures: its columns by name. No Taichi class: each look-up in one costs
+    some 3 us.
+    """
+
+    def __init__(self, coupling: Coupling, motion: Motion, survey: Survey):
+        self._march = coupling.march_all
+        self._look, self._take_each = _launches(coupling, motion, survey)
+        self.coupling, self.motion, self.survey, self._nodes = coupling, motion, survey, coupling.aqueous.nodes
+        self.rows = np.zeros((len(self._nodes), len(QUANTITIES)))
+
+    def figures(self, eyes: int) -> dict[str, np.ndarray]:
+        """The figures of the first so many eyes at their last sample, by name; they change with the next one."""
+        return dict(zip(QUANTITIES, self.rows[:eyes].T))
+
+    def take(self, eyes, steps, dt, dt_before, puff_apex) -> None:
+        """steps[k] steps of dt[k] [s] of each eye eyes[k], and its figures.
+
+        puff_apex [k, step] [Pa]: the puff on the axis at the end of each step; dt_before [k]: the step before this call,
+        as in `Coupling.advance`.
+        """
+        nodes, kick_dt = self._nodes[eyes], 0.5 * (dt + dt_before)
+        plan = plan_of(eyes, steps, dt, kick_dt, puff_apex)
+        if backend.on_cpu() and (len(eyes) >= backend.threads() or nodes.max() <= SERIAL_NODES):
+            if len(eyes) == 1:
+                # at rest there is nothing to step: the film's first frame need not wait for that kernel to compile
+                if steps[0]:
+                    self._march(plan)
+                self._look(int(eyes[0]), self.rows)
+            else:
+                # the most costly first, so that no thread is left with one at the end
+                self._take_each(plan[np.argsort(-steps * nodes, kind="stable")], self.rows)
+        else:
+            self.coupling.advance_in_parallel(plan)
+            self.motion.move_nodes()
+            self.survey.measure(eyes.astype(np.int32), self.rows)

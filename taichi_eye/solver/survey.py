@@ -92,10 +92,7 @@ class Survey:
                 bad = i
             if self.aqueous.operators.condition[i] > worst or ti.math.isnan(self.aqueous.operators.condition[i]):
                 worst, ill = self.aqueous.operators.condition[i], i
-            pairs = 0.0
-            for k in range(self.aqueous.smoother.size[i]):
-                pairs += self.aqueous.smoother.pair_weight[i, k]
-            heaviest = ti.max(heaviest, pairs)
+            heaviest = ti.max(heaviest, self.aqueous.smoother.pair_sum[i])
             for k in range(self.aqueous.operators.size[i]):
                 entry = self.aqueous.neighbours.entry[i, k]
                 if entry >= 0:

@@ -27,25 +27,32 @@ import numpy as np
 from taichi_eye.eye.section import Section
 
 
+NAMES = ("acoustic", "dissipation", "viscous", "membrane in plane", "membrane transverse", "membrane bending", "coupling",
+         "volume")
+
+
 class StepLimits:
     """The limits of several resolved scenes together, arrays over the scenes."""
 
     def __init__(self, scenes):
-        rows = [self._constants(scene) for scene in scenes]
-        (self.speed, self.spread, self.damping, self.friction, self.stiff_root, self.inertia, self.density,
-         self.volume, self.cfl) = np.array(rows).T
+        self._slope, self._offset, self._damping, self._friction, self._bending, self._coupling, volume, self._cfl = np.array(
+            [self._constants(scene) for scene in scenes]).T
+        self._table = np.empty((len(NAMES), len(volume)))
+        self._table[7] = volume
 
     @staticmethod
     def _constants(scene):
-        numerics, cornea = scene.numerics, scene.cornea
+        numerics, cornea, density = scene.numerics, scene.cornea, scene.aqueous.density_kg_m3
         c, alpha, spacing = numerics.sound_speed_m_s, numerics.dissipation, numerics.spacing_mm
         wall_mass = cornea.density_kg_m3 * min(cornea.thickness_mm, cornea.limbus_thickness_mm) * 1e-3
         thickest = max(cornea.thickness_mm, cornea.limbus_thickness_mm) * 1e-3
         rigidity = (1.0 + cornea.viscoelastic_share) * cornea.flexural_modulus_mpa * 1e6 * thickest**3 / (
             12.0 * (1.0 - cornea.poisson_ratio**2))
-        return (c, 0.72 * alpha * spacing * 1e-3, alpha * c * spacing * 1e-3, 4.0 * (scene.aqueous.viscosity_mpa_s * 1e-3),
-                math.sqrt(wall_mass / rigidity) if rigidity > 0.0 else math.inf, wall_mass,
-                scene.aqueous.density_kg_m3, StepLimits._volume_limit(scene, wall_mass), numerics.cfl)
+        friction = 4.0 * scene.aqueous.viscosity_mpa_s * 1e-3
+        return (0.6 * c, 0.72 * alpha * spacing * 1e-3 * c, 0.55 / max(alpha * c * spacing * 1e-3, 1e-30),
+                density / friction if friction > 0.0 else math.inf,
+                0.5 * math.sqrt(wall_mass / rigidity) if rigidity > 0.0 else math.inf,
+                math.sqrt(wall_mass / density) / c, StepLimits._volume_limit(scene, wall_mass), numerics.cfl)
 
     @staticmethod
     def _volume_limit(scene, wall_mass: float) -> float:
@@ -56,34 +63,30 @@ class StepLimits:
             return math.inf
         return math.sqrt(wall_mass * section.volume() / (scene.aqueous.density_kg_m3 * area * spread))
 
-    def of(self, figures) -> dict[str, np.ndarray]:
-        """All limits [s] by name, from a survey's figures (arrays over the scenes)."""
-        gap = figures["smallest_gap"]
-        length = figures["membrane_step"] * figures["membrane_speed"]
-        # without viscosity there is no limit by it; an eye at rest in a batch has no figures
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return {
-                "acoustic": gap / (self.speed * (0.6 + self.spread / gap)),
-                "dissipation": 0.55 / np.maximum(self.damping * figures["pair_weight"], 1e-30),
-                "viscous": gap**2 * self.density / self.friction,
-                "membrane in plane": figures["membrane_step"],
-                "membrane transverse": length / np.maximum(figures["transverse_speed"], 1e-9),
-                "membrane bending": 0.5 * length**2 * self.stiff_root,
-                "coupling": np.sqrt(gap * self.inertia / self.density) / self.speed,
-                "volume": self.volume + np.zeros_like(gap),
-            }
+    def of(self, figures) -> np.ndarray:
+        """All limits [s] of the scenes, a row to each of NAMES, from a survey's figures; the next call overwrites them."""
+        gap, table = figures["smallest_gap"], self._table
+        squared, length = gap * gap, figures["membrane_step"] * figures["membrane_speed"]
+        # an eye that was stopped may have left anything
+        with np.errstate(all="ignore"):
+            table[0] = squared / (self._slope * gap + self._offset)
+            table[1] = self._damping / figures["pair_weight"]
+            table[2] = squared * self._friction
+            table[3] = figures["membrane_step"]
+            table[4] = length / np.maximum(figures["transverse_speed"], 1e-9)
+            table[5] = length * length * self._bending
+            table[6] = np.sqrt(gap) * self._coupling
+        return table
 
     def stable_steps(self, figures) -> tuple[np.ndarray, np.ndarray]:
-        """The steps to take [s] and the names of the limits that set them, one for each scene."""
-        every = self.of(figures)
-        table = np.array(list(every.values()))
-        least = table.argmin(0)
-        return self.cfl * table[least, np.arange(len(least))], np.array(list(every), dtype=object)[least]
+        """The steps to take [s] and the limits that set them, as numbers in NAMES, one for each scene."""
+        table = self.of(figures)
+        return self._cfl * table.min(0), table.argmin(0)
 
 
 def limits(figures: dict[str, float], scene) -> dict[str, float]:
     """All limits [s] by name, from a survey's figures and a resolved scene."""
-    return {name: float(np.ravel(values)[0]) for name, values in StepLimits([scene]).of(figures).items()}
+    return {name: float(value) for name, (value,) in zip(NAMES, StepLimits([scene]).of(figures))}
 
 
 def stable_step(figures: dict[str, float], scene) -> tuple[float, str]:

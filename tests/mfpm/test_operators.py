@@ -151,7 +151,8 @@ from taichi_eye.eye.section import Section
 cloud = pack(Section(7.8e-3, 5.8e-3, 2.7e-3), 0.25e-3)
 bench = Bench("quadratic").build(cloud.points, cloud.spacing)
 digest = hashlib.sha256(bench.gradient(cloud.points[:, 0] ** 2).tobytes())
-for field in (bench.operators.gradient_weight, bench.operators.laplacian_weight, bench.operators.pair_arm,
+for field in (bench.operators.gradient_weight, bench.operators.laplacian_weight, bench.operators.pair_weight,
+              bench.operators.arm_sum,
               bench.neighbours.entry, bench.operators.size):
     digest.update(field.to_numpy().tobytes())
 print(digest.hexdigest())

@@ -48,8 +48,8 @@ class Liquid:
             self.aqueous.rebuild()
 
     def set_fields(self, pressure, velocity):
+        """Pressure, which is the driving potential too, and velocity."""
         self.put(self.aqueous.pressure, pressure)
-        self.put(self.aqueous.potential, pressure)
         self.put(self.aqueous.velocity, velocity)
         self._differentiate()
 
@@ -61,8 +61,8 @@ class Liquid:
     @ti.kernel
     def _differentiate(self):
         for i in range(self.aqueous.count[0]):
-            self.aqueous.find_velocity_gradient(i)
-            self.aqueous.candidate[i], self.aqueous.driving[i] = self.aqueous.velocity[i], self.aqueous.potential[i]
+            self.aqueous.find_velocity_gradient(0, i)
+            self.aqueous.lay_momentum_row(i, self.aqueous.pressure[i])
         for i in range(self.aqueous.count[0]):
             self.vector[i] = self.aqueous.differentiate_pressure(i)
 
@@ -72,18 +72,18 @@ class Liquid:
             self.aqueous.kick(0, i, dt, self.wall_velocity)
 
     def kick(self, dt):
-        """The candidate velocities."""
+        """The velocities half a step later."""
         self._kick(dt)
-        return self.get(self.aqueous.candidate)
+        return self.get(self.aqueous.velocity)
 
     @ti.kernel
     def _meet(self):
         for i in range(self.aqueous.wall_count[0]):
             self.vector[i] = self.aqueous.meet_wall(0, i, self.wall_place, self.wall_velocity[i])
 
-    def meet(self, candidate, wall_velocity):
-        """Velocities of the wall nodes from candidates and the cornea's velocities there."""
-        self.put(self.aqueous.candidate, candidate)
+    def meet(self, kicked, wall_velocity):
+        """Velocities of the wall nodes from kicked ones and the cornea's velocities there."""
+        self.put(self.aqueous.velocity, kicked)
         self.put(self.wall_velocity, wall_velocity)
         self._meet()
         return self.vector.to_numpy()[:self.walls]
@@ -102,7 +102,7 @@ class Liquid:
         for i in range(self.aqueous.count[0]):
             self.vector[i] = self.aqueous.differentiate_pressure(i)
         for i in range(self.aqueous.count[0]):
-            self.scalar[i] = self.aqueous.differentiate_velocity(i, True)
+            self.scalar[i] = self.aqueous.differentiate_velocity(i)
 
     def dissipation(self):
         """P p [n] and P u [n, 2]."""

@@ -76,7 +76,7 @@ def test_momentum_of_the_squeeze_flow_is_exact_on_moving_nodes(squeezed):
     exact = flow.change_at_a_place(places) + carried
     fixed = liquid.cloud.kind == FIXED
     np.testing.assert_allclose(change[~fixed], exact[~fixed], rtol=0, atol=1e-7 * np.abs(exact).max())
-    assert not liquid.get(liquid.aqueous.candidate)[fixed].any()
+    assert not liquid.get(liquid.aqueous.velocity)[fixed].any()
 
 
 def test_continuity_of_the_squeeze_flow_only_carries_pressure_past_moving_nodes(squeezed):
@@ -100,14 +100,14 @@ def test_slip_takes_the_normal_velocity_of_the_wall_and_no_other(liquid, chamber
     liquid.fill(cloud)
     wall = cloud.points[:cloud.wall_count] + 0.02 * MM * rng.normal(size=(cloud.wall_count, 2))
     liquid.carry(wall, rebuild=False)
-    candidate, moving = rng.normal(size=(cloud.count, 2)), rng.normal(size=(cloud.wall_count, 2))
-    met = liquid.meet(candidate, moving)
+    kicked, moving = rng.normal(size=(cloud.count, 2)), rng.normal(size=(cloud.wall_count, 2))
+    met = liquid.meet(kicked, moving)
     along = wall[2:] - wall[:-2]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     normal = along[:, ::-1] * (-1.0, 1.0)
     slipping = slice(1, cloud.wall_count - 1)
     np.testing.assert_allclose(((met - moving)[slipping] * normal).sum(1), 0.0, atol=1e-12)
-    np.testing.assert_allclose(((met - candidate[:cloud.wall_count])[slipping] * along).sum(1), 0.0, atol=1e-12)
+    np.testing.assert_allclose(((met - kicked[:cloud.wall_count])[slipping] * along).sum(1), 0.0, atol=1e-12)
     # the apex and the limbus go with the wall
     np.testing.assert_array_equal(met[[0, -1]], moving[[0, -1]])
 
@@ -124,12 +124,12 @@ def test_sliding_nodes_keep_to_their_line_and_fixed_ones_to_their_place(liquid, 
     cloud, rng = chamber(0.25, 7.8, 3.6), np.random.default_rng(seed)
     liquid.fill(cloud, dissipation=0.5)
     liquid.set_fields(1e3 * rng.normal(size=cloud.count), rng.normal(size=(cloud.count, 2)))
-    candidate = liquid.kick(1e-7)
+    kicked = liquid.kick(1e-7)
     slide = cloud.kind == SLIDE
     across = cloud.direction[slide][:, ::-1] * (-1.0, 1.0)
-    np.testing.assert_allclose((candidate[slide] * across).sum(1), 0.0, atol=1e-14)
-    assert np.abs(candidate[slide]).max() > 0.1
-    assert not candidate[cloud.kind == FIXED].any()
+    np.testing.assert_allclose((kicked[slide] * across).sum(1), 0.0, atol=1e-14)
+    assert np.abs(kicked[slide]).max() > 0.1
+    assert not kicked[cloud.kind == FIXED].any()
 
 
 @pytest.mark.parametrize("viscosity", [1e-3, 0.05])
@@ -286,7 +286,7 @@ def test_weights_come_back_bit_for_bit_with_the_nodes(liquid, chamber):
     cloud = chamber(0.3)
     liquid.fill(cloud)
     operators = liquid.aqueous.operators
-    weights = operators.gradient_weight, operators.laplacian_weight, operators.pair_arm
+    weights = operators.gradient_weight, operators.laplacian_weight, operators.pair_weight
     before = [field.to_numpy() for field in weights]
     liquid.carry(dent(cloud, 1.0))
     assert np.abs(weights[0].to_numpy() - before[0]).max() > 0.0

@@ -7,7 +7,7 @@ from taichi_eye.errors import RunStopped
 from taichi_eye.mfpm.operators import CONDITION_LIMIT
 from taichi_eye.scene import load_scene
 from taichi_eye.solver.coupling import NOT_CONVERGED, RUNNING
-from taichi_eye.solver.guards import calm, check, least_stress
+from taichi_eye.solver.guards import Calm, check, least_stress
 
 SOUND = {"least_stress": 14e3, "slackest_element": 3.0, "chamber_gap": 0.6, "gap_node": 0.0, "flattest_triangle": 0.6,
          "flat_node": 12.0, "worst_condition": 210.0, "ill_node": 40.0, "not_finite": 0.0, "bad_node": -1.0,
@@ -85,7 +85,8 @@ def test_many_eyes_are_calm_exactly_where_each_passes():
     for name, value in SOUND.items():
         figures.setdefault(name, np.full(3000, value))
     gain, work = rng.choice([-1e-5, 0.0, 1e-8, 2.9e-6, 5e-6, NAN], 3000), rng.choice([0.0, 2e-5, 3e-5], 3000)
-    verdict = calm(figures, gain, work, limit, least_stress(scene))
+    judge = Calm(tuple(figures), limit, np.full(3000, least_stress(scene)))
+    verdict = judge.where(np.column_stack(list(figures.values())), gain, work)
     for k, quiet in enumerate(verdict):
         one = {name: float(values[k]) for name, values in figures.items()}
         try:

@@ -42,10 +42,10 @@ class Radii:
         zero = ti.Vector([0.0, 0.0])
         length = self.aqueous.dissipation_length[0]
         for i in range(nodes):
-            self.aqueous.potential[i], self.aqueous.pressure[i] = p[i], 0.0
-            self.aqueous.velocity[i], self.aqueous.laplacian[i] = zero, zero
+            self.aqueous.velocity[i], self.aqueous.laplacian[i], self.aqueous.pressure[i] = zero, zero, 0.0
             self.aqueous.velocity_gradient[i] = ti.Matrix([[0.0, 0.0], [0.0, 0.0]])
-            self.aqueous.smooth_velocity_gradient[i] = ti.Matrix([[0.0, 0.0], [0.0, 0.0]])
+            self.aqueous.slopes[i] = ti.Matrix([[0.0, 0.0], [0.0, 0.0]])
+            self.aqueous.lay_momentum_row(i, p[i])
         for i in range(walls):
             self.cornea.velocity[i] = zero
         ti.loop_config(serialize=True)
@@ -53,13 +53,10 @@ class Radii:
             self.aqueous.dissipation_length[0] = 0.0
         for i in range(nodes):
             self.aqueous.kick(0, i, 1.0, self.cornea.velocity)
+        for i in range(walls):
+            self.aqueous.velocity[i] = self.aqueous.meet_wall(0, i, self.cornea.place, zero)
         for i in range(nodes):
-            velocity = self.aqueous.candidate[i]
-            if i < walls:
-                velocity = self.aqueous.meet_wall(0, i, self.cornea.place, zero)
-            self.aqueous.velocity[i] = velocity
-        for i in range(nodes):
-            self.aqueous.find_velocity_gradient(i)
+            self.aqueous.find_velocity_gradient(0, i)
         for i in range(nodes):
             after[i] = self.aqueous.density0[0] * self.aqueous.sound_speed[0] ** 2 * self.aqueous.divergence[i]
         ti.loop_config(serialize=True)
@@ -71,12 +68,12 @@ class Radii:
         # after = alpha c h P p
         nodes = self.aqueous.count[0]
         for i in range(nodes):
-            self.aqueous.potential[i], self.aqueous.pressure[i] = p[i], 0.0
-            self.aqueous.velocity[i] = ti.Vector([0.0, 0.0])
+            self.aqueous.velocity[i], self.aqueous.pressure[i] = ti.Vector([0.0, 0.0]), 0.0
+            self.aqueous.lay_momentum_row(i, p[i])
         for i in range(nodes):
             self.aqueous.kick(0, i, 0.0, self.cornea.velocity)
         for i in range(nodes):
-            after[i] = self.aqueous.dissipation_length[0] * self.aqueous.differentiate_velocity(i, True)
+            after[i] = self.aqueous.dissipation_length[0] * self.aqueous.differentiate_velocity(i)
 
     def _radius(self, operator) -> float:
         vector = np.random.default_rng(1).standard_normal(self.count)
