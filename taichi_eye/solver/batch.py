@@ -223,13 +223,14 @@ class Batch:
 
     def _lobes(self, eye: int, least: float) -> int | None:
         """The lobes into which a shell folds now, asked at film frames once it is compressed enough."""
-        if self.sample % self.samples_per_frame[eye] or not guards.is_shell(self.scenes[eye]) or least > self._least_stress[eye]:
+        scene = self.scenes[eye]
+        if self.sample % self.samples_per_frame[eye] or not guards.is_shell(scene) or least > guards.least_stress(scene):
             return None
         wall = slice(self.first[eye], self.first[eye] + self.clouds[eye].wall_count)
         inside, air = (field.to_numpy()[wall] for field in (self.aqueous.pressure, self.cornea.air_pressure))
         nodes = self.clouds[eye].section.cornea_nodes(self.clouds[eye].wall_count - 1)
-        return Folding.from_scene(self.scenes[eye], nodes).lobes(
-            self.cornea.place.to_numpy()[wall], self.scenes[eye].eye.iop_mmhg * MMHG + inside - air)
+        return Folding.from_scene(scene, nodes).lobes(self.cornea.place.to_numpy()[wall],
+                                                      scene.eye.iop_mmhg * MMHG + inside - air)
 
     def _check(self, eye: int, gained: float) -> None:
         figures = self.figures(eye)
