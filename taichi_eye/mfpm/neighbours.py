@@ -87,32 +87,31 @@ class NeighbourLists:
     @ti.kernel
     def _bin(self, points: ti.template(), eye: int, first: int, count: int, r0: float, z0: float, size: float,
              columns: int, rows: int):
-        self.first[eye], self.count[eye], self.total[None] = first, count, first + count
-        for c in range(columns * rows + 1):
-            self.cell_start[c] = 0
-        for i in range(first, first + count):
-            self.eye_of[i] = eye
-            column = ti.min(ti.cast((points[i][0] - r0) / size, ti.i32), columns - 1)
-            row = ti.min(ti.cast((points[i][1] - z0) / size, ti.i32), rows - 1)
-            self.cell_of[i] = row * columns + column
         ti.loop_config(serialize=True)
-        for i in range(first, first + count):
-            self.cell_start[self.cell_of[i] + 1] += 1
-        ti.loop_config(serialize=True)
-        for c in range(columns * rows):
-            self.cell_start[c + 1] += self.cell_start[c]
-        ti.loop_config(serialize=True)
-        for k in range(count):
-            # backwards, so that each cell_start ends where it belongs
-            i = first + count - 1 - k
-            cell = self.cell_of[i]
-            self.cell_start[cell + 1] -= 1
-            self.sorted[self.cell_start[cell + 1]] = i
-        ti.loop_config(serialize=True)
-        for c in range(columns * rows):
-            # cell_start[c + 1] now holds the start of cell c: shift back
-            self.cell_start[c] = self.cell_start[c + 1]
-        self.cell_start[columns * rows] = count
+        for once in range(1):
+            self.first[eye], self.count[eye], self.total[None] = first, count, first + count
+            for i in range(first, first + count):
+                self.eye_of[i] = eye
+                column = ti.min(ti.cast((points[i][0] - r0) / size, ti.i32), columns - 1)
+                row = ti.min(ti.cast((points[i][1] - z0) / size, ti.i32), rows - 1)
+                self.cell_of[i] = row * columns + column
+            # counting sort; one task, since each costs compile time
+            for c in range(columns * rows + 1):
+                self.cell_start[c] = 0
+            for i in range(first, first + count):
+                self.cell_start[self.cell_of[i] + 1] += 1
+            for c in range(columns * rows):
+                self.cell_start[c + 1] += self.cell_start[c]
+            for k in range(count):
+                # backwards, so that each cell_start ends where it belongs
+                i = first + count - 1 - k
+                cell = self.cell_of[i]
+                self.cell_start[cell + 1] -= 1
+                self.sorted[self.cell_start[cell + 1]] = i
+            for c in range(columns * rows):
+                # cell_start[c + 1] now holds the start of cell c: shift back
+                self.cell_start[c] = self.cell_start[c + 1]
+            self.cell_start[columns * rows] = count
 
     @ti.kernel
     def _collect(self, points: ti.template(), eye: int, radius: float, columns: int, rows: int):

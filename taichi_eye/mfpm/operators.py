@@ -68,7 +68,7 @@ def _flat(matrix):
 class MfpmOperators:
     """Operator coefficients over neighbour lists.
 
-    neighbours: lists whose entries the stencils take, nearest first. After `choose_stencils` and `rebuild`:
+    neighbours: lists whose entries the stencils take, nearest first. After `choose_stencils` or `rebuild`:
     size[i] entries, gradient weights [1/m], Laplacian weights [1/m^2] (axisymmetric), pair weights [1/m^2], and the
     condition number of each scaled moment matrix. Where the lists are planar, r and z are plain Cartesian coordinates.
     """
@@ -91,7 +91,10 @@ class MfpmOperators:
         self.basis_value = ti.field(fp, (neighbours.capacity, self.terms))
 
     def choose_stencils(self, points, wanted: int, limit: float, eye: int = 0) -> None:
-        """Take `wanted` nearest entries per node (ties included), more where the moment matrix is worse than `limit`."""
+        """Take `wanted` nearest entries per node (ties included), more where the moment matrix is worse than `limit`.
+
+        All weights follow at once: at a start, `rebuild` need not be compiled before the cornea has moved.
+        """
         self._choose_stencils(points, wanted, limit, eye)
 
     @ti.kernel
@@ -109,6 +112,7 @@ class MfpmOperators:
             for k in range(self.size[i]):
                 if self.neighbours.entry[i, k] < 0:
                     self.mirrored[i] = 1
+            self._weights(i, points)
 
     def rebuild(self, points, due=None) -> None:
         """Compute all weights for the nodes at `points`; the stencils stay. due [eyes]: 1 for the eyes it is done for."""

@@ -127,7 +127,7 @@ class Aqueous:
         self.operators.choose_stencils(self.place, stencil or STENCIL[self.basis], CONDITION_LIMIT[self.basis], eye)
         if self.smoother is not self.operators:
             self.smoother.choose_stencils(self.place, STENCIL["quadratic"], CONDITION_LIMIT["quadratic"], eye)
-        self.rebuild((np.arange(len(self.nodes)) == eye).astype(np.int32))
+        self._measure_volumes((np.arange(len(self.nodes)) == eye).astype(np.int32))
         self._remember_areas(eye)
 
     @ti.kernel
@@ -158,15 +158,18 @@ class Aqueous:
     def _load_chamber(self, triangles: ti.types.ndarray(), wall_count: int, volume: float, density: float,
                       viscosity: float, sound_speed: float, dissipation_length: float, no_slip: int, sealed: int,
                       compliance: float, mean_speed: float, eye: int, first: int):
-        self.wall_count[eye], self.triangle_count[eye] = wall_count, triangles.shape[0]
-        self.rest_volume[eye], self.last_volume[eye], self.pressure_shift[eye] = volume, volume, 0.0
-        self.density0[eye], self.viscosity[eye], self.sound_speed[eye] = density, viscosity, sound_speed
-        self.dissipation_length[eye], self.no_slip[eye] = dissipation_length, no_slip
-        self.sealed[eye], self.outflow[eye], self.compliance[eye] = sealed, 0.0, compliance
-        self.mean_speed[eye] = mean_speed
-        for t in range(triangles.shape[0]):
-            for k in ti.static(range(3)):
-                self.triangle[2 * first + t, k] = first + triangles[t, k]
+        # one task, since each costs compile time
+        ti.loop_config(serialize=True)
+        for once in range(1):
+            self.wall_count[eye], self.triangle_count[eye] = wall_count, triangles.shape[0]
+            self.rest_volume[eye], self.last_volume[eye], self.pressure_shift[eye] = volume, volume, 0.0
+            self.density0[eye], self.viscosity[eye], self.sound_speed[eye] = density, viscosity, sound_speed
+            self.dissipation_length[eye], self.no_slip[eye] = dissipation_length, no_slip
+            self.sealed[eye], self.outflow[eye], self.compliance[eye] = sealed, 0.0, compliance
+            self.mean_speed[eye] = mean_speed
+            for t in range(triangles.shape[0]):
+                for k in ti.static(range(3)):
+                    self.triangle[2 * first + t, k] = first + triangles[t, k]
 
     def rebuild(self, due=None) -> None:
         """Recompute operator weights and node volumes at the current places, for the eyes in the mask `due` [eyes]."""

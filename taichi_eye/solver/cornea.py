@@ -122,27 +122,30 @@ class Cornea:
               radius: ti.types.ndarray(), volume: ti.types.ndarray(), prestrain: ti.types.ndarray(),
               flexure: ti.types.ndarray(), angle: ti.types.ndarray(), load_shape: ti.types.ndarray(),
               stiffness: float, s: float, nu: float, iop: float, share: float, time: float, eye: int, first: int):
-        self.first[eye], self.last[eye] = first, first + nodes.shape[0] - 1
-        self.material[eye, 0], self.material[eye, 1], self.material[eye, 2] = stiffness, s, nu
-        self.iop[eye], self.puff_work[eye] = iop, 0.0
-        self.relaxation[eye], self.relaxed_work[eye] = ti.Vector([share, time]), 0.0
-        for n in range(nodes.shape[0]):
-            i = first + n
-            zero = ti.Vector([0.0, 0.0])
-            self.rest[i] = ti.Vector([nodes[n, 0], nodes[n, 1]])
-            self.place[i] = self.rest[i]
-            self.mass[i], self.load_shape[i], self.air_pressure[i] = mass[n], load_shape[n], 0.0
-            self.velocity[i], self.acceleration[i], self.lost[i] = zero, zero, zero
-            self.force_air[i], self.force_solid[i], self.residual[i] = zero, zero, zero
-        for n in range(nodes.shape[0] - 1):
-            k = first + n
-            self.element_length[k], self.element_radius[k] = length[n], radius[n]
-            self.element_volume[k], self.prestrain[k] = volume[n], prestrain[n]
-            self.flexure[k], self.rest_angle[k] = ti.Vector([flexure[n, 0], flexure[n, 1]]), angle[n]
-            self.inclination[k], self.strain[k] = ti.Vector([angle[n], 0.0]), ti.Vector([prestrain[n], prestrain[n]])
-            zero = ti.Vector([0.0, 0.0])
-            self.moment[k], self.overstress[k], self.overmoment[k] = zero, zero, zero
-        self.flexible[eye] = ti.select(flexure[0, 1] > 0.0, 1, 0)
+        # one task, since each costs compile time
+        ti.loop_config(serialize=True)
+        for once in range(1):
+            self.first[eye], self.last[eye] = first, first + nodes.shape[0] - 1
+            self.material[eye, 0], self.material[eye, 1], self.material[eye, 2] = stiffness, s, nu
+            self.iop[eye], self.puff_work[eye] = iop, 0.0
+            self.relaxation[eye], self.relaxed_work[eye] = ti.Vector([share, time]), 0.0
+            for n in range(nodes.shape[0]):
+                i = first + n
+                zero = ti.Vector([0.0, 0.0])
+                self.rest[i] = ti.Vector([nodes[n, 0], nodes[n, 1]])
+                self.place[i] = self.rest[i]
+                self.mass[i], self.load_shape[i], self.air_pressure[i] = mass[n], load_shape[n], 0.0
+                self.velocity[i], self.acceleration[i], self.lost[i] = zero, zero, zero
+                self.force_air[i], self.force_solid[i], self.residual[i] = zero, zero, zero
+            for n in range(nodes.shape[0] - 1):
+                k = first + n
+                self.element_length[k], self.element_radius[k] = length[n], radius[n]
+                self.element_volume[k], self.prestrain[k] = volume[n], prestrain[n]
+                self.flexure[k], self.rest_angle[k] = ti.Vector([flexure[n, 0], flexure[n, 1]]), angle[n]
+                self.inclination[k], self.strain[k] = ti.Vector([angle[n], 0.0]), ti.Vector([prestrain[n], prestrain[n]])
+                zero = ti.Vector([0.0, 0.0])
+                self.moment[k], self.overstress[k], self.overmoment[k] = zero, zero, zero
+            self.flexible[eye] = ti.select(flexure[0, 1] > 0.0, 1, 0)
 
     @ti.func
     def stress_of(self, eye, e, shift):
