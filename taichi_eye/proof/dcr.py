@@ -42,6 +42,7 @@ SWITCHES = {
     "relaxing tissue": ("cornea.viscoelastic_share",),
     "thicker rim": ("cornea.limbus_thickness_mm",),
     "yielding globe": ("chamber.compliance_mm3_mmhg",),
+    "late globe": ("chamber.globe_delay_ms",),
     "width of the puff": ("puff.radial_profile", "puff.width_mm"),
     "course of the puff": ("puff.time_course",),
 }

@@ -25,7 +25,7 @@ COLUMNS = (
     "viscous_loss_uj",             # lost to viscosity since t = 0
     "numerical_loss_uj",           # lost to the dissipation of the scheme since t = 0
     "outflow_loss_uj",             # carried off by fluid that left an open chamber since t = 0
-    "cornea_loss_uj",              # work against the relaxing part of the cornea's stress since t = 0
+    "tissue_loss_uj",              # to the relaxing part of the cornea's stress and the globe's delay since t = 0
     "energy_error_uj",             # work in, less what is stored, less what is lost
     "coupling_iterations",
     "coupling_residual",

@@ -95,6 +95,8 @@ class Chamber:
                           unit="mm", above=0, at_most=100)
     compliance_mm3_mmhg: float = key(0.0, "volume that the rest of the globe takes up per pressure, where sealed",
                                      unit="mm^3/mmHg", at_least=0, at_most=100)
+    globe_delay_ms: float = key(0.0, "time in which the globe follows the pressure, its wall being viscous; 0: at once", unit="ms",
+                                at_least=0, at_most=1000)
     lens_radius_mm: float = key(0.0, "radius of curvature of a lens cap on the back plane; 0: none",
                                 unit="mm", at_least=0, at_most=100)
     lens_height_mm: float = key(0.0, "height of that cap over the back plane, below its radius; 0: none",

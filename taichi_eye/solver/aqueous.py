@@ -100,14 +100,16 @@ class Aqueous:
         self.density0, self.viscosity, self.sound_speed, self.mean_speed = (ti.field(fp, eyes) for _ in range(4))
         self.dissipation_length = ti.field(fp, eyes)  # alpha c h [m^2/s]
         self.rest_volume, self.last_volume, self.compliance = (ti.field(fp, eyes) for _ in range(3))
+        # of the rest of the globe: its delay [s], the volume it has taken up [m^3], work done on it [J], last mean pressure [Pa]
+        self.globe_delay, self.taken_up, self.globe_work, self.mean_pressure = (ti.field(fp, eyes) for _ in range(4))
         self.pressure_shift = ti.field(fp, eyes)
 
     def setup(self, cloud: Cloud, density: float, viscosity: float, sound_speed: float, dissipation: float,
-              no_slip: bool = False, sealed: bool = True, compliance: float = 0.0, mean_speed: float | None = None,
+              no_slip: bool = False, sealed: bool = True, compliance: float = 0.0, globe_delay: float = 0.0, mean_speed: float | None = None,
               stencil: int | None = None, eye: int = 0, first: int = 0) -> None:
         """Place the nodes of one eye at rest, choose their stencils and compute all weights (SI units).
 
-        compliance: volume [m^3/Pa] by which the rest of the globe yields; mean_speed: the mean pressure's sound speed (default:
+        compliance: volume [m^3/Pa] by which the rest of the globe yields, globe_delay [s] late; mean_speed: the mean pressure's sound speed (default:
         the waves'); stencil: neighbours wanted per node; the basis
         has its own number. Several eyes are set up in their order, each from the node after the last one's on.
         """
@@ -121,7 +123,7 @@ class Aqueous:
         self._load(cloud.points, cloud.kind, cloud.direction, cloud.wall_index, cloud.wall_fraction,
                    cloud.height_fraction, corner, corners, first)
         self._load_chamber(cloud.triangles, cloud.wall_count, cloud.section.volume(), density, viscosity, sound_speed,
-                           dissipation * sound_speed * cloud.spacing, no_slip, sealed, compliance,
+                           dissipation * sound_speed * cloud.spacing, no_slip, sealed, compliance, globe_delay,
                            mean_speed or sound_speed, eye, first)
         self.neighbours.search(self.place, count, SEARCH_RADIUS[self.basis] * cloud.spacing, eye, first)
         self.operators.choose_stencils(self.place, stencil or STENCIL[self.basis], CONDITION_LIMIT[self.basis], eye)
@@ -157,7 +159,7 @@ class Aqueous:
     @ti.kernel
     def _load_chamber(self, triangles: ti.types.ndarray(), wall_count: int, volume: float, density: float,
                       viscosity: float, sound_speed: float, dissipation_length: float, no_slip: int, sealed: int,
-                      compliance: float, mean_speed: float, eye: int, first: int):
+                      compliance: float, globe_delay: float, mean_speed: float, eye: int, first: int):
         # one task, since each costs compile time
         ti.loop_config(serialize=True)
         for once in range(1):
@@ -166,6 +168,8 @@ class Aqueous:
             self.density0[eye], self.viscosity[eye], self.sound_speed[eye] = density, viscosity, sound_speed
             self.dissipation_length[eye], self.no_slip[eye] = dissipation_length, no_slip
             self.sealed[eye], self.outflow[eye], self.compliance[eye] = sealed, 0.0, compliance
+            self.globe_delay[eye], self.taken_up[eye] = globe_delay, 0.0
+            self.globe_work[eye], self.mean_pressure[eye] = 0.0, 0.0
             self.mean_speed[eye] = mean_speed
             for t in range(triangles.shape[0]):
                 for k in ti.static(range(3)):
@@ -341,13 +345,14 @@ class Aqueous:
                 0.5 * rho * self.velocity[i].norm_sqr() + self.pressure[i] + rho * self.stored_at(eye, i))
 
     @ti.func
-    def missing_pressure(self, eye, volume):
-        """The uniform pressure [Pa] to add in the step that ends with the chamber at its volume [m^3].
+    def missing_pressure(self, eye, volume, dt):
+        """The uniform pressure [Pa] to add in the step of dt [s] that ends with the chamber at its volume [m^3].
 
         Continuity is going to bring the liquid's own stiffness times the change of volume; what that and the present mean
         lack of the mean pressure that the volume stands for is added. In an open chamber that mean is zero. Where the rest of
-        the globe yields, by compliance [m^3/Pa] times the mean pressure, that much aqueous humour has left, from everywhere
-        alike: the eye behind the iris is not resolved.
+        the globe yields, by compliance C [m^3/Pa] times the mean pressure, that much aqueous humour has left, from everywhere
+        alike: the eye behind the iris is not resolved. A globe whose wall is viscous follows late, dy/dt = (C p - y) / delay, y
+        the volume it has taken up: exact for a pressure that is that of the step's end throughout.
         """
         first, count = self.first[eye], self.count[eye]
         # four sums side by side: one alone waits for its last addition
@@ -364,8 +369,15 @@ class Aqueous:
         mean, coming = 0.0, 0.0
         if self.sealed[eye] == 1:
             stiffness = self.density0[eye] * self.mean_speed[eye] ** 2
-            mean = (stiffness * (self.rest_volume[eye] / volume - 1.0)
-                    / (1.0 + stiffness * self.compliance[eye] / volume))
+            follows = 1.0
+            if self.globe_delay[eye] > 0.0:
+                follows = 1.0 - ti.exp(-dt / self.globe_delay[eye])
+            before = self.taken_up[eye]
+            mean = (stiffness * ((self.rest_volume[eye] - (1.0 - follows) * before) / volume - 1.0)
+                    / (1.0 + stiffness * follows * self.compliance[eye] / volume))
+            taken = follows * (self.compliance[eye] * mean - before)
+            self.globe_work[eye] += 0.5 * (self.mean_pressure[eye] + mean) * taken
+            self.taken_up[eye], self.mean_pressure[eye] = before + taken, mean
             coming = self.density0[eye] * self.sound_speed[eye] ** 2 * (self.last_volume[eye] / volume - 1.0)
         self.last_volume[eye] = volume
         return mean - coming - total / weight

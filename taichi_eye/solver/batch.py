@@ -120,6 +120,7 @@ class Batch:
         self.aqueous.setup(cloud, scene.aqueous.density_kg_m3, scene.aqueous.viscosity_mpa_s * MPA_S,
                            numerics.sound_speed_m_s, numerics.dissipation, numerics.wall_condition == "no_slip",
                            scene.chamber.sealed, scene.chamber.compliance_mm3_mmhg * MM3 / MMHG,
+                           scene.chamber.globe_delay_ms * MS,
                            numerics.mean_sound_speed_m_s, eye=eye, first=first)
         self.coupling.setup(numerics.coupling == "iterated", numerics.relaxation == "aitken",
                             numerics.relaxation_factor, numerics.coupling_tolerance, numerics.coupling_iterations_max, eye)
@@ -165,7 +166,7 @@ class Batch:
             "chamber_volume_error": figures["volume_error"].copy(),
             **{f"{name}_uj": figures[name] * 1e6 for name in
                ("puff_work", "cornea_elastic", "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic", "viscous_loss",
-                "numerical_loss", "outflow_loss", "cornea_loss")},
+                "numerical_loss", "outflow_loss", "tissue_loss")},
             "energy_error_uj": (_stored(figures) + _lost(figures) - figures["puff_work"]) * 1e6,
             "coupling_iterations": figures["coupling_sweeps"].copy(),
             "coupling_residual": figures["coupling_residual"].copy(),
@@ -251,7 +252,7 @@ def _stored(figures):
 
 def _lost(figures):
     """Energy [J] lost or carried off since the start."""
-    return figures["viscous_loss"] + figures["numerical_loss"] + figures["outflow_loss"] + figures["cornea_loss"]
+    return figures["viscous_loss"] + figures["numerical_loss"] + figures["outflow_loss"] + figures["tissue_loss"]
 
 
 def run_batch(scenes: Sequence[Scene], progress: bool = False) -> list[Outcome]:

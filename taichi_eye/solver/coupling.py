@@ -227,14 +227,14 @@ class Coupling:
         return self.aqueous.rest_volume[eye] + (self.cornea.enclosed_volume(eye) - self.rest_enclosed[eye])
 
     @ti.func
-    def _settle_pressure(self, eye):
-        self.aqueous.pressure_shift[eye] = self.aqueous.missing_pressure(eye, self.chamber_volume(eye))
+    def _settle_pressure(self, eye, dt):
+        self.aqueous.pressure_shift[eye] = self.aqueous.missing_pressure(eye, self.chamber_volume(eye), dt)
 
     @ti.func
     def step_cornea(self, eye, puff, dt):
         """Steps 1 and 3 of an eye, and the state of its cornea at the end of the step."""
         self._move_cornea(eye, puff, dt)
-        self._settle_pressure(eye)
+        self._settle_pressure(eye, dt)
         self._match_wall(eye, dt)
         for i in range(self.aqueous.first[eye], self.aqueous.first[eye] + self.aqueous.wall_count[eye]):
             self._end_cornea_step(eye, i, dt)

@@ -97,13 +97,14 @@ class Reduced:
         scene, cornea = self.scene, self.scene.cornea
         nodes = place_cornea(self.cornea, scene, self.section, self.puff, self.wall_count - 1)
         volume = self.section.volume()
-        compliance = scene.chamber.compliance_mm3_mmhg * MM3 / MMHG + volume / BULK_MODULUS
+        globe = scene.chamber.compliance_mm3_mmhg * MM3 / MMHG
         thickest = max(cornea.thickness_mm, cornea.limbus_thickness_mm) * MM
         thinnest = min(cornea.thickness_mm, cornea.limbus_thickness_mm) * MM
         rigidity = (1.0 + cornea.viscoelastic_share) * cornea.flexural_modulus_mpa * 1e6 * thickest**3 / (
             12.0 * (1.0 - cornea.poisson_ratio**2))
         bending = 0.5 * math.sqrt(cornea.density_kg_m3 * thinnest / rigidity) if rigidity > 0.0 else math.inf
-        self.stepper.setup(self.section.back_height(nodes[:, 0]), volume, compliance,
+        self.stepper.setup(self.section.back_height(nodes[:, 0]), volume, volume / BULK_MODULUS, globe,
+                           scene.chamber.globe_delay_ms * MS,
                            scene.chamber.sealed and self.model != "membrane", scene.aqueous.density_kg_m3, bending,
                            -math.inf if is_shell(scene) else 0.0)
 
@@ -260,7 +261,7 @@ class Reduced:
         time_ms = np.arange(self.sample + 1) * self.sample_ms
         energies = {f"{name}_uj": taken[name] * 1e6 for name in ("puff_work", "cornea_elastic", "cornea_kinetic",
                                                                 "aqueous_kinetic", "aqueous_elastic")}
-        energies["cornea_loss_uj"] = taken["cornea_loss"] * 1e6
+        energies["tissue_loss_uj"] = taken["tissue_loss"] * 1e6
         spent = sum(column for name, column in energies.items() if name != "puff_work_uj")
         nothing = np.zeros(self.sample + 1)
         return {

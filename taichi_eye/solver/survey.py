@@ -16,7 +16,7 @@ from taichi_eye.solver.coupling import Coupling
 QUANTITIES = (
     "apex_place", "apex_velocity", "fluid_pressure_apex", "volume_error", "puff_work", "cornea_elastic",
     "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic", "viscous_loss", "numerical_loss", "outflow_loss",
-    "cornea_loss",
+    "tissue_loss",
     "least_stress", "slackest_element", "membrane_speed", "transverse_speed", "membrane_step", "smallest_gap",
     "flattest_triangle", "flat_node", "pair_weight", "worst_condition", "ill_node", "chamber_gap", "gap_node",
     "not_finite", "bad_node", "wall_travel", "coupling_sweeps", "coupling_residual", "coupling_status")
@@ -119,9 +119,11 @@ class Survey:
             sum = self.cornea.place[i].sum() + self.cornea.velocity[i].sum()
             if bad < 0 and (ti.math.isnan(sum) or ti.math.isinf(sum)):
                 bad = i
-        # of the liquid's mean excess pressure: the volume that the rest of the globe has taken up
         mean = pressure_volume / total_volume
-        yielded = self.aqueous.compliance[eye] * mean
+        # the volume that the rest of the globe has taken up, and what it stores
+        yielded, stretched = self.aqueous.taken_up[eye], 0.0
+        if self.aqueous.compliance[eye] > 0.0:
+            stretched = 0.5 * yielded * yielded / self.aqueous.compliance[eye]
         # the liquid's mean is stiffer than its waves: what the nodes' own elastic energy has too much of it
         spared = rest_volume / self.aqueous.density0[eye] * (1.0 / self.aqueous.sound_speed[eye] ** 2
                                                              - 1.0 / self.aqueous.mean_speed[eye] ** 2)
@@ -130,8 +132,8 @@ class Survey:
             self.cornea.iop[eye] + self.aqueous.pressure[first], (volume + yielded) / rest_volume - 1.0,
             self.cornea.puff_work[eye],
             self.cornea.elastic_energy(eye) - self.rest_energy[eye], self.cornea.kinetic_energy(eye), kinetic,
-            elastic + self.cornea.iop[eye] * (rest_volume - volume) + 0.5 * (yielded - spared * mean) * mean,
-            viscous, numerical, carried, self.cornea.relaxed_work[eye], least, slackest - first, in_plane, transverse, step, ti.sqrt(gap),
+            elastic + self.cornea.iop[eye] * (rest_volume - volume) + stretched - 0.5 * spared * mean * mean,
+            viscous, numerical, carried, self.cornea.relaxed_work[eye] + self.aqueous.globe_work[eye] - stretched, least, slackest - first, in_plane, transverse, step, ti.sqrt(gap),
             flattest, flat - first, heaviest, worst, ill - first, room, near - first, ti.select(bad >= 0, 1.0, 0.0), ti.max(bad - first, -1), travel,
             self.coupling.sweeps[eye], self.coupling.worst_residual[eye], self.coupling.status[eye]))
         for q in ti.static(range(len(QUANTITIES))):

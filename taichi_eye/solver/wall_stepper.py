@@ -15,7 +15,8 @@ before, one sweep per step. What is quadratic in the velocity is taken once per 
 
 Volume. p0 is the multiplier of V(x) = V0 - C p0 at the END of the step, found by Newton's iteration to 1e-13 of V0, so a
 stiff chamber costs no time step and its volume does not drift. C is the compliance of the globe (`chamber.compliance`)
-plus V0 / K with K the bulk modulus of water. Where C is so soft that the chamber's own mode is resolved, p0 = (V0 - V)/C
+plus V0 / K with K the bulk modulus of water. A globe whose wall is viscous (`chamber.globe_delay_ms`) takes up y instead of its
+C p0, dy/dt = (C p0 - y) / delay. Where C is so soft that the chamber's own mode is resolved, p0 = (V0 - V)/C
 of the start of the step: the end's value would damp it. In an open chamber p0 = 0.
 
 Time: leapfrog, the membrane's in-plane waves (and bending) set the step. A sample's steps run inside one kernel.
@@ -30,7 +31,7 @@ SMOOTHINGS = 4  # of what is quadratic in the velocity
 PUFF_ROWS = 4  # of the puff's table per sample, linear in between
 RUNNING, SLACK, CLOSED, NOT_FINITE, GREW = range(5)
 FIGURES = ("apex_place", "apex_velocity", "pressure_apex", "volume_error", "puff_work", "cornea_elastic",
-           "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic", "cornea_loss", "least_stress")
+           "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic", "tissue_loss", "least_stress")
 
 
 @ti.data_oriented
@@ -53,18 +54,21 @@ class WallStepper:
         self.neumann, self.inverse, self.neumann_rate = (ti.field(fp, (width, width)) for _ in range(3))
         self.mean_pressure, self.rest_volume, self.rest_enclosed, self.compliance, self.density = (
             ti.field(fp, ()) for _ in range(5))
+        # of the rest of the globe: compliance, delay, volume it has taken up, work done on it
+        self.globe, self.globe_delay, self.taken_up, self.globe_work = (ti.field(fp, ()) for _ in range(4))
         self.sealed, self.status, self.place_of_failure, self.steps = (ti.field(ti.i32, ()) for _ in range(4))
         self.last_dt, self.rest_energy, self.largest_work, self.bending_step, self.least_stress = (
             ti.field(fp, ()) for _ in range(5))
 
     @ti.kernel
-    def setup(self, back: ti.types.ndarray(), volume: float, compliance: float, sealed: int, density: float,
+    def setup(self, back: ti.types.ndarray(), volume: float, compliance: float, globe: float, globe_delay: float, sealed: int, density: float,
               bending_step: float, least_stress: float):
         """Take the cornea's present state as rest; back [walls]: z of the rigid back below each node [m]; density of the
         liquid [kg/m^3]; bending_step [s]: limit of the step by the plate's stiffest wave per squared element [s/m^2];
         least_stress [Pa]: at which the run stops."""
         self.sealed[None], self.status[None], self.steps[None] = sealed, RUNNING, 0
         self.compliance[None], self.rest_volume[None], self.density[None] = compliance, volume, density
+        self.globe[None], self.globe_delay[None], self.taken_up[None], self.globe_work[None] = globe, globe_delay, 0.0, 0.0
         self.mean_pressure[None], self.last_dt[None], self.largest_work[None] = 0.0, 0.0, 0.0
         self.bending_step[None], self.least_stress[None] = bending_step, least_stress
         for i in range(self.cornea.last[0] + 1):
@@ -199,20 +203,27 @@ class WallStepper:
             swing += self.unit_pressure[i] * self.ring[i].norm_sqr() / self.cornea.mass[i]
         change, p0 = 0.0, self.mean_pressure[None]
         if self.sealed[None] == 1:
-            give = self.compliance[None]
+            follows, before = 1.0, self.taken_up[None]
+            if self.globe_delay[None] > 0.0:
+                follows = 1.0 - ti.exp(-dt / self.globe_delay[None])
+            give = follows * self.globe[None] + self.compliance[None]
+            full = self.rest_volume[None] - (1.0 - follows) * before
             if reach * swing < give:
-                change = (self.rest_volume[None] - self._volume_at(self.cornea.place)) / give - p0
+                change = (full - self._volume_at(self.cornea.place)) / give - p0
             else:
                 for sweep in range(4):
                     for i in range(count):
                         a = self.free[i] + self.ring[i] * (change * self.unit_pressure[i] / self.cornea.mass[i])
                         self.trial[i] = self.cornea.place[i] + dt * (self.cornea.velocity[i] + kick * a)
                     self.trial[count] = self.cornea.place[count]
-                    miss = self._volume_at(self.trial) + give * (p0 + change) - self.rest_volume[None]
+                    miss = self._volume_at(self.trial) + give * (p0 + change) - full
                     if ti.abs(miss) > 1e-13 * self.rest_volume[None]:
                         change -= miss / (reach * swing + give)
                     else:
                         break
+            taken = follows * (self.globe[None] * (p0 + change) - before)
+            self.globe_work[None] += (p0 + 0.5 * change) * taken
+            self.taken_up[None] = before + taken
         self.mean_pressure[None] = p0 + change
         for i in range(count):
             self.pressure[i] += change * self.unit_pressure[i]
@@ -307,7 +318,11 @@ class WallStepper:
                 swept += 0.5 * self.density[None] * self.flux_rate[i] * potential
         p0 = self.mean_pressure[None]
         elastic = self.cornea.elastic_energy(0) - self.rest_energy[None]
-        stored = 0.5 * self.compliance[None] * p0 * p0 + self.cornea.iop[0] * (self.rest_volume[None] - volume)
+        stretched = 0.0  # of the globe
+        if self.globe[None] > 0.0:
+            stretched = 0.5 * self.taken_up[None] ** 2 / self.globe[None]
+        stored = (0.5 * self.compliance[None] * p0 * p0 + stretched
+                  + self.cornea.iop[0] * (self.rest_volume[None] - volume))
         self.largest_work[None] = ti.max(self.largest_work[None], ti.abs(work))
         gained = elastic + kinetic + swept + stored - work
         if finite == 0 or ti.math.isnan(gained):
@@ -321,7 +336,7 @@ class WallStepper:
         figures = ti.Vector([
             self.cornea.place[0][1], self.cornea.velocity[0][1] + half * self.cornea.acceleration[0][1],
             self.cornea.iop[0] + self.pressure[0], volume / self.rest_volume[None] - 1.0,
-            work, elastic, kinetic, swept, stored, self.cornea.relaxed_work[0], least])
+            work, elastic, kinetic, swept, stored, self.cornea.relaxed_work[0] + self.globe_work[None] - stretched, least])
         for q in ti.static(range(len(FIGURES))):
             record[row, q] = figures[q]
 
