@@ -93,7 +93,7 @@ class Flow:
     @ti.func
     def _settle(self):
         if self.sealed[None] == 1:
-            self.aqueous.pressure_shift[0] = self.aqueous.missing_pressure(0, self.aqueous.rest_volume[0])
+            self.aqueous.pressure_shift[0] = self.aqueous.missing_pressure(0, self.aqueous.rest_volume[0], 0.0)
 
     @ti.func
     def _copy_velocity(self, g):

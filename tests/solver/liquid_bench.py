@@ -116,7 +116,7 @@ class Liquid:
             kinetic, elastic = self.aqueous.energies(0, volume)
             self.number[0], self.number[1] = kinetic, elastic
             self.aqueous.last_volume[0] = volume  # the chamber stands still
-            self.number[2] = self.aqueous.missing_pressure(0, volume)
+            self.number[2] = self.aqueous.missing_pressure(0, volume, 0.0)
 
     def kinetic_elastic_missing(self, volume):
         self._weigh(volume)
