@@ -160,9 +160,9 @@ class Reduced:
                 self._puff_table, self.reached, self.samples, self.sample_ms * MS, self.scene.numerics.cfl, far,
                 self._record, self.samples_per_frame, self.frames)
         if is_shell(self.scene) and self._lobes is None:
-            self._unfold()
+            self._stop_where_it_folds()
 
-    def _unfold(self) -> None:
+    def _stop_where_it_folds(self) -> None:
         """End a shell's run at the first frame that folds (`taichi_eye.solver.guards`)."""
         nodes, iop = self.section.cornea_nodes(self.wall_count - 1), self.scene.eye.iop_mmhg * MMHG
         folding, shape, limit = Folding.from_scene(self.scene, nodes), self.puff.radial(nodes[:, 0]), least_stress(self.scene)

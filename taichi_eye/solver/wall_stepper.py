@@ -63,8 +63,8 @@ class WallStepper:
     @ti.kernel
     def setup(self, back: ti.types.ndarray(), volume: float, compliance: float, globe: float, globe_delay: float, sealed: int, density: float,
               bending_step: float, least_stress: float):
-        """Take the cornea's present state as rest; back [walls]: z of the rigid back below each node [m]; density of the
-        liquid [kg/m^3]; bending_step [s]: limit of the step by the plate's stiffest wave per squared element [s/m^2];
+        """Take the cornea's present state as rest; back [walls]: z of the rigid back below each node [m]; compliance [m^3/Pa] of
+        the liquid and of the globe, and the globe's delay [s]; density of the liquid [kg/m^3]; bending_step [s]: limit of the step by the plate's stiffest wave per squared element [s/m^2];
         least_stress [Pa]: at which the run stops."""
         self.sealed[None], self.status[None], self.steps[None] = sealed, RUNNING, 0
         self.compliance[None], self.rest_volume[None], self.density[None] = compliance, volume, density
