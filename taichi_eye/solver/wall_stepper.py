@@ -61,11 +61,11 @@ class WallStepper:
             ti.field(fp, ()) for _ in range(5))
 
     @ti.kernel
-    def setup(self, back: ti.types.ndarray(), volume: float, compliance: float, globe: float, globe_delay: float, sealed: int, density: float,
-              bending_step: float, least_stress: float):
+    def setup(self, back: ti.types.ndarray(), volume: float, compliance: float, globe: float, globe_delay: float,
+              sealed: int, density: float, bending_step: float, least_stress: float):
         """Take the cornea's present state as rest; back [walls]: z of the rigid back below each node [m]; compliance [m^3/Pa] of
-        the liquid and of the globe, and the globe's delay [s]; density of the liquid [kg/m^3]; bending_step [s]: limit of the step by the plate's stiffest wave per squared element [s/m^2];
-        least_stress [Pa]: at which the run stops."""
+        the liquid and of the globe, and the globe's delay [s]; density of the liquid [kg/m^3]; bending_step: limit of the step by
+        the plate's stiffest wave per squared element [s/m^2]; least_stress [Pa]: at which the run stops."""
         self.sealed[None], self.status[None], self.steps[None] = sealed, RUNNING, 0
         self.compliance[None], self.rest_volume[None], self.density[None] = compliance, volume, density
         self.globe[None], self.globe_delay[None], self.taken_up[None], self.globe_work[None] = globe, globe_delay, 0.0, 0.0
