@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 
 from taichi_eye.scene.calibration import rest_stress, solve_exponent, solve_prestrain, solve_stiffness
 
-__all__ = ["biaxial_tangent", "energy", "inflation_pressure", "rest_stress", "solve_exponent", "solve_prestrain",
+__all__ = ["biaxial_tangent", "energy", "flexural_rigidity", "inflation_pressure", "rest_stress", "solve_exponent", "solve_prestrain",
            "solve_stiffness", "strain", "stress"]
 
 
@@ -53,6 +53,11 @@ def stress(e1: ArrayLike, e2: ArrayLike, a: float, s: float, nu: float) -> tuple
 def biaxial_tangent(a: float, k: float, prestrain: float) -> float:
     """Slope dS/dE [Pa] of the equibiaxial stress at rest, (S0/eps0)(1 + 4 k eps0^2)."""
     return 2.0 * a * k * np.exp(2.0 * k * prestrain**2) * (1.0 + 4.0 * k * prestrain**2)
+
+
+def flexural_rigidity(modulus: float, thickness: ArrayLike, nu: float) -> np.ndarray:
+    """Bending stiffness D = E h^3 / (12 (1 - nu^2)) [N m] of a plate of Young's modulus [Pa] and thickness [m]."""
+    return modulus * np.asarray(thickness) ** 3 / (12.0 * (1.0 - nu * nu))
 
 
 def inflation_pressure(stretch: ArrayLike, radius: float, thickness: float, a: float, k: float,

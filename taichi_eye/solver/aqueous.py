@@ -105,13 +105,12 @@ class Aqueous:
         self.pressure_shift = ti.field(fp, eyes)
 
     def setup(self, cloud: Cloud, density: float, viscosity: float, sound_speed: float, dissipation: float,
-              no_slip: bool = False, sealed: bool = True, compliance: float = 0.0, globe_delay: float = 0.0, mean_speed: float | None = None,
-              stencil: int | None = None, eye: int = 0, first: int = 0) -> None:
+              no_slip: bool = False, sealed: bool = True, compliance: float = 0.0, globe_delay: float = 0.0,
+              mean_speed: float | None = None, stencil: int | None = None, eye: int = 0, first: int = 0) -> None:
         """Place the nodes of one eye at rest, choose their stencils and compute all weights (SI units).
 
-        compliance: volume [m^3/Pa] by which the rest of the globe yields, globe_delay [s] late; mean_speed: the mean pressure's sound speed (default:
-        the waves'); stencil: neighbours wanted per node; the basis
-        has its own number. Several eyes are set up in their order, each from the node after the last one's on.
+        compliance: volume [m^3/Pa] by which the rest of the globe yields, globe_delay [s] late; mean_speed: the mean
+        pressure's sound speed (default: the waves'); stencil: neighbours wanted per node; the basis has its own number. Several eyes are set up in their order, each from the node after the last one's on.
         """
         self.nodes[eye] = count = cloud.count
         corner = np.zeros((count, CORNERS), dtype=np.int32)

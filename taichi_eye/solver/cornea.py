@@ -42,6 +42,7 @@ import numpy as np
 import taichi as ti
 
 from taichi_eye.backend import real
+from taichi_eye.eye.tissue import flexural_rigidity
 
 
 @ti.data_oriented
@@ -107,7 +108,7 @@ class Cornea:
         eps0 = np.broadcast_to(np.asarray(prestrain, dtype=float), length.shape)
         flexure = np.zeros((count - 1, 2))
         if flexural_modulus > 0.0:
-            rigidity = flexural_modulus * thickness**3 / (12.0 * (1.0 - constants[2] ** 2))
+            rigidity = flexural_rigidity(flexural_modulus, thickness, constants[2])
             # nodes: D area / L^2, the apex with the disc inside half an element and its mirrored neighbour
             flexure[:, 0] = rigidity * 2.0 * np.pi * nodes[:-1, 0] / length
             flexure[0, 0] = rigidity[0] * np.pi

@@ -25,6 +25,7 @@ lobes (shells as thin in bending as `configs/corvis_healthy.toml`'s). So the cla
 import numpy as np
 
 from taichi_eye.eye.thickness import prestrain, thickness
+from taichi_eye.eye.tissue import flexural_rigidity
 
 LOBES = tuple(range(2, 17))
 
@@ -66,13 +67,15 @@ class Folding:
         cornea, middle = scene.cornea, 0.5 * (rest[1:, 0] + rest[:-1, 0])
         nu, thick = cornea.poisson_ratio, thickness(scene, middle)
         return cls(rest, thick, (cornea.stiffness_a_pa, cornea.exponent_k / (1.0 + nu), nu), prestrain(scene, middle),
-                   cornea.flexural_modulus_mpa * 1e6 * thick**3 / (12.0 * (1.0 - nu * nu)))
+                   flexural_rigidity(cornea.flexural_modulus_mpa * 1e6, thick, nu))
 
     def lobes(self, place, pressure, lobes=LOBES) -> int | None:
-        """The number of lobes into which the state folds, None where it is stable.
+        """The number of lobes into which the state folds, None where it is stable; a state that is not finite is not judged.
 
         place [n + 1, 2] (m); pressure [n + 1] (Pa): net, outwards, on each node's ring.
         """
+        if not (np.isfinite(place).all() and np.isfinite(pressure).all()):
+            return None
         for m in lobes:
             try:
                 np.linalg.cholesky(self.form(place, pressure, m))

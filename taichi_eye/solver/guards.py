@@ -20,7 +20,7 @@ import math
 import numpy as np
 
 from taichi_eye.errors import RunStopped
-from taichi_eye.eye.tissue import biaxial_tangent
+from taichi_eye.eye.tissue import biaxial_tangent, flexural_rigidity
 from taichi_eye.mfpm.operators import CONDITION_LIMIT
 from taichi_eye.solver.coupling import NOT_CONVERGED, RUNNING
 from taichi_eye.units import MM, MMHG
@@ -40,7 +40,7 @@ def least_stress(scene) -> float:
     if not is_shell(scene):
         return 0.0
     thickness, nu = cornea.thickness_mm * MM, cornea.poisson_ratio
-    rigidity = cornea.flexural_modulus_mpa * 1e6 * thickness**3 / (12.0 * (1.0 - nu * nu))
+    rigidity = float(flexural_rigidity(cornea.flexural_modulus_mpa * 1e6, thickness, nu))
     young = (1.0 - nu) * biaxial_tangent(cornea.stiffness_a_pa, cornea.exponent_k, cornea.prestrain)
     return -2.0 * math.sqrt(rigidity * young / thickness) / (cornea.radius_mm * MM)
 
@@ -63,8 +63,10 @@ def check(figures: dict[str, float], energy_gain: float, largest_work: float, sc
     churned = CHURN_SHARE * largest_work + ENERGY_FLOOR
     grew = energy_gain > allowed or energy_gain + numerical_loss > churned
     found = figures["least_stress"]
-    failed = lobes is not None if is_shell(scene) else found <= 0.0
-    if failed and not (grew or found < least_stress(scene) - stress_at_rest and not is_shell(scene)):
+    shell = is_shell(scene)
+    failed = lobes is not None if shell else found <= 0.0
+    torn = not shell and found < -stress_at_rest
+    if failed and not (grew or torn):
         stop(*failing(found, lobes), figures["slackest_element"])
     if figures["chamber_gap"] < CLOSED:
         stop("the cornea reached the back of the chamber", "Lower puff.peak_kpa, raise eye.iop_mmhg or chamber.depth_mm"
@@ -78,11 +80,10 @@ def check(figures: dict[str, float], energy_gain: float, largest_work: float, sc
     unstable = _advice_unstable(scene)
     if figures["not_finite"] or energy_gain != energy_gain:
         stop("a value is not finite any more", unstable, max(figures["bad_node"], 0))
-    torn = failed
     unbalanced = energy_gain + viscous_loss > allowed
     # at the size of the spacing the dissipation takes more than viscosity: then the loss is an instability's
     smooth = viscous_loss > max(energy_gain, numerical_loss)
-    if grew or torn or unbalanced and not smooth:
+    if grew or failed or unbalanced and not smooth:
         gained = energy_gain + max(numerical_loss, 0.0)
         raise RunStopped("energy grew without work", f"{gained * 1e6:.3g} uJ more than the puff put in, whose largest "
                          f"work so far is {largest_work * 1e6:.3g} uJ", time_ms, unstable)

@@ -16,6 +16,7 @@ from taichi_eye.cloud.quality import measure
 from taichi_eye.errors import RunStopped
 from taichi_eye.eye.puff import Puff
 from taichi_eye.eye.section import Section
+from taichi_eye.eye.tissue import flexural_rigidity
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.batch import SAMPLE_MS
 from taichi_eye.solver.cornea import Cornea
@@ -100,8 +101,8 @@ class Reduced:
         globe = scene.chamber.compliance_mm3_mmhg * MM3 / MMHG
         thickest = max(cornea.thickness_mm, cornea.limbus_thickness_mm) * MM
         thinnest = min(cornea.thickness_mm, cornea.limbus_thickness_mm) * MM
-        rigidity = (1.0 + cornea.viscoelastic_share) * cornea.flexural_modulus_mpa * 1e6 * thickest**3 / (
-            12.0 * (1.0 - cornea.poisson_ratio**2))
+        sudden = (1.0 + cornea.viscoelastic_share) * cornea.flexural_modulus_mpa * 1e6
+        rigidity = flexural_rigidity(sudden, thickest, cornea.poisson_ratio)
         bending = 0.5 * math.sqrt(cornea.density_kg_m3 * thinnest / rigidity) if rigidity > 0.0 else math.inf
         self.stepper.setup(self.section.back_height(nodes[:, 0]), volume, volume / BULK_MODULUS, globe,
                            scene.chamber.globe_delay_ms * MS,

@@ -133,7 +133,8 @@ class Survey:
             self.cornea.puff_work[eye],
             self.cornea.elastic_energy(eye) - self.rest_energy[eye], self.cornea.kinetic_energy(eye), kinetic,
             elastic + self.cornea.iop[eye] * (rest_volume - volume) + stretched - 0.5 * spared * mean * mean,
-            viscous, numerical, carried, self.cornea.relaxed_work[eye] + self.aqueous.globe_work[eye] - stretched, least, slackest - first, in_plane, transverse, step, ti.sqrt(gap),
+            viscous, numerical, carried, self.cornea.relaxed_work[eye] + self.aqueous.globe_work[eye] - stretched,
+            least, slackest - first, in_plane, transverse, step, ti.sqrt(gap),
             flattest, flat - first, heaviest, worst, ill - first, room, near - first, ti.select(bad >= 0, 1.0, 0.0), ti.max(bad - first, -1), travel,
             self.coupling.sweeps[eye], self.coupling.worst_residual[eye], self.coupling.status[eye]))
         for q in ti.static(range(len(QUANTITIES))):

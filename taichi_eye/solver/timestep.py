@@ -25,6 +25,7 @@ import math
 import numpy as np
 
 from taichi_eye.eye.section import Section
+from taichi_eye.eye.tissue import flexural_rigidity
 
 
 NAMES = ("acoustic", "dissipation", "viscous", "membrane in plane", "membrane transverse", "membrane bending", "coupling",
@@ -46,8 +47,8 @@ class StepLimits:
         c, alpha, spacing = numerics.sound_speed_m_s, numerics.dissipation, numerics.spacing_mm
         wall_mass = cornea.density_kg_m3 * min(cornea.thickness_mm, cornea.limbus_thickness_mm) * 1e-3
         thickest = max(cornea.thickness_mm, cornea.limbus_thickness_mm) * 1e-3
-        rigidity = (1.0 + cornea.viscoelastic_share) * cornea.flexural_modulus_mpa * 1e6 * thickest**3 / (
-            12.0 * (1.0 - cornea.poisson_ratio**2))
+        sudden = (1.0 + cornea.viscoelastic_share) * cornea.flexural_modulus_mpa * 1e6
+        rigidity = flexural_rigidity(sudden, thickest, cornea.poisson_ratio)
         friction = 4.0 * scene.aqueous.viscosity_mpa_s * 1e-3
         return (0.6 * c, 0.72 * alpha * spacing * 1e-3 * c, 0.55 / max(alpha * c * spacing * 1e-3, 1e-30),
                 density / friction if friction > 0.0 else math.inf,

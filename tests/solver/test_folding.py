@@ -29,6 +29,13 @@ def test_a_sphere_folds_at_the_classical_pressure(thickness):
         assert (folding.lobes(nodes, np.full(len(nodes), -share * critical)) is None) == stable
 
 
+def test_a_state_that_is_not_finite_is_not_called_a_fold():
+    folding, nodes = shell(0.3e-3, elements=12)
+    broken = nodes.copy()
+    broken[5, 1] = np.nan
+    assert folding.lobes(broken, np.zeros(13)) is None and folding.lobes(nodes, np.full(13, np.nan)) is None
+
+
 def test_pressure_from_within_bears_any_tension():
     folding, nodes = shell(0.3e-3, strain=0.004)
     pressure = 2.0 * 0.3e-3 / RADIUS * tangent(0.004, 0.004, folding.a, S, NU)[0]
