@@ -5,20 +5,26 @@
     result = taichi_eye.run(scene, out="renders/iop20")
     result.traces["apex_displacement_mm"].max()
 
-`Simulation` is the coupled solver without film and files, `run_batch` the same for many scenes at once, `simulation_of` the
-rung of the ladder that a scene's fidelity asks for.
+`Simulation` is the coupled solver without film and files, `run_batch` the same for many scenes at once, `simulation_of`
+the rung of the ladder that a scene's fidelity asks for.
 """
-import os
-
-# Taichi prints a banner and notes on import unless told not to beforehand
-os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
-os.environ.setdefault("TI_LOG_LEVEL", "error")
 
 from taichi_eye.errors import RunStopped, SceneError  # noqa: E402
 from taichi_eye.scene import Scene, dump_scene, load_scene  # noqa: E402
 
-__all__ = ["RunResult", "RunStopped", "Scene", "SceneError", "Simulation", "dump_scene", "init", "load_scene", "run",
-           "run_batch", "simulation_of"]
+__all__ = [
+    "RunResult",
+    "RunStopped",
+    "Scene",
+    "SceneError",
+    "Simulation",
+    "dump_scene",
+    "init",
+    "load_scene",
+    "run",
+    "run_batch",
+    "simulation_of",
+]
 __version__ = "0.1.0"
 
 
@@ -26,17 +32,22 @@ def __getattr__(name):
     # the solver and the renderer load Taichi and matplotlib: only once they are asked for
     if name == "init":
         from taichi_eye.backend import init
+
         return init
     if name == "Simulation":
         from taichi_eye.solver.simulation import Simulation
+
         return Simulation
     if name == "simulation_of":
         from taichi_eye.ladder.rungs import simulation_of
+
         return simulation_of
     if name == "run_batch":
         from taichi_eye.solver.batch import run_batch
+
         return run_batch
     if name in ("run", "RunResult"):
         from taichi_eye import pipeline
+
         return getattr(pipeline, name)
     raise AttributeError(f"module 'taichi_eye' has no attribute {name!r}")

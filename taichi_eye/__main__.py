@@ -1,4 +1,5 @@
 """`python -m taichi_eye` is `taichi-eye`."""
+
 import sys
 
 from taichi_eye.cli import main

@@ -3,15 +3,18 @@
 Double precision and the CPU are the default: literals and local accumulators of a kernel take `default_fp`, so f64 has
 to be set here to be meant anywhere. `fast_math` stays off: it changes bits and gained nothing measurable.
 """
+
 import contextlib
 import io
 import os
 
-import taichi as ti
+from taichi_eye.lang import NAME, ti
 
-from taichi_eye import frontend
+if NAME == "taichi":
+    # quadrants has a shorter front end of its own
+    from taichi_eye import frontend
 
-frontend.shorten()
+    frontend.shorten()
 
 ARCHES = ("cpu", "cuda", "vulkan", "opengl", "metal")
 PRECISIONS = ("f64", "f32")
@@ -35,14 +38,22 @@ def init(arch: str = "cpu", precision: str = "f64", threads: int | None = None, 
     if _active == wanted:
         return
     if arch not in ARCHES or precision not in PRECISIONS:
-        raise BackendError(f"arch {arch!r}, precision {precision!r}: allowed are {', '.join(ARCHES)} and "
-                           f"{', '.join(PRECISIONS)}")
+        raise BackendError(
+            f"arch {arch!r}, precision {precision!r}: allowed are {', '.join(ARCHES)} and {', '.join(PRECISIONS)}"
+        )
     if arch in ("vulkan", "opengl", "metal") and precision == "f64":
         raise BackendError(f"--arch {arch} computes in f32 only; add --precision f32")
     options = {} if threads is None else {"cpu_max_num_threads": threads}
     with contextlib.redirect_stdout(io.StringIO()):
-        ti.init(arch=getattr(ti, arch), default_fp=ti.f64 if precision == "f64" else ti.f32, default_ip=ti.i32,
-                fast_math=False, offline_cache=True, debug=debug, **options)
+        ti.init(
+            arch=getattr(ti, arch),
+            default_fp=ti.f64 if precision == "f64" else ti.f32,
+            default_ip=ti.i32,
+            fast_math=False,
+            offline_cache=True,
+            debug=debug,
+            **options,
+        )
     _active.clear()
     got = ti.lang.impl.current_cfg().arch
     if (arch == "cpu") != (got in (ti.x64, ti.arm64)) or (arch != "cpu" and got != getattr(ti, arch)):

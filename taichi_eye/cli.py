@@ -1,9 +1,10 @@
-"""The command line: `taichi-eye run SCENE.toml`, `analyze FILM`, `chart SCENE.toml`, and `verify`, `stability`, `clinic`,
-`claims`, `films`, `choices`, `bench`.
+"""The command line: `taichi-eye run SCENE.toml`, `analyze FILM`, `chart SCENE.toml`, and `verify`, `stability`,
+`clinic`, `claims`, `films`, `choices`, `bench`.
 
 Exit status: 0 done; 1 the run left its validity and was stopped (what was computed so far is in the run folder), or a
 row of `verify`, `films`, `choices` or `bench` does not hold; 2 bad input, nothing written; 130 interrupted.
 """
+
 import argparse
 import os
 import sys
@@ -17,45 +18,69 @@ def parser() -> argparse.ArgumentParser:
     """The argument parser of `taichi-eye`."""
     top = argparse.ArgumentParser(prog="taichi-eye", description="Mesh-free simulation and film of the air-puff test.")
     commands = top.add_subparsers(dest="command", required=True)
-    run = commands.add_parser("run", help="simulate a scene and film it into a run folder",
-                              description="Simulate a scene and film it into a run folder: film.mp4, apex.png, "
-                              "sheet.png, traces.csv, summary.json, scene.toml.")
+    run = commands.add_parser(
+        "run",
+        help="simulate a scene and film it into a run folder",
+        description="Simulate a scene and film it into a run folder: film.mp4, apex.png, "
+        "sheet.png, traces.csv, summary.json, scene.toml.",
+    )
     _take_scene(run)
     run.add_argument("--out", metavar="DIR", help="run folder, new or empty (default: a new one under renders/)")
-    run.add_argument("--compare", metavar="CSV", help="measured history to draw into apex.png: columns time_ms and "
-                     "apex_displacement_mm or deflection_mm")
+    run.add_argument(
+        "--compare",
+        metavar="CSV",
+        help="measured history to draw into apex.png: columns time_ms and apex_displacement_mm or deflection_mm",
+    )
     run.add_argument("--arch", choices=backend.ARCHES, default="cpu", help="Taichi backend (default: cpu)")
     run.add_argument("--precision", choices=backend.PRECISIONS, default="f64", help="default: f64")
     run.add_argument("--threads", type=_threads, metavar="N", help="CPU threads (default: all)")
     run.add_argument("--quiet", action="store_true", help="no progress bar")
     run.set_defaults(do=_run)
     _add_analyze(commands)
-    for name, what in (("verify", "compare the solver's kernels with exact answers"),
-                       ("stability", "map where the methods fail, with the theory drawn on"),
-                       ("films", "hold rendered frames against the instrument's, and their reading against the eyes filmed"),
-                       ("choices", "put fidelity = \"auto\" to varied scenes: its true error and its cost"),
-                       ("bench", "measure how fast it is, each figure beside what is asked of it")):
+    for name, what in (
+        ("verify", "compare the solver's kernels with exact answers"),
+        ("stability", "map where the methods fail, with the theory drawn on"),
+        ("films", "hold rendered frames against the instrument's, and their reading against the eyes filmed"),
+        ("choices", 'put fidelity = "auto" to varied scenes: its true error and its cost'),
+        ("bench", "measure how fast it is, each figure beside what is asked of it"),
+    ):
         proof = commands.add_parser(name, help=what, description=f"{what.capitalize()}; writes one table and one page.")
-        proof.add_argument("--only", metavar="NAME", action="append", default=[], help="one part of it; may be repeated")
+        proof.add_argument(
+            "--only", metavar="NAME", action="append", default=[], help="one part of it; may be repeated"
+        )
         proof.add_argument("--json", metavar="FILE", help="the figures as JSON")
         proof.add_argument("--out", metavar="DIR", help="folder of the page, new or empty (default: under renders/)")
         proof.add_argument("--threads", type=_threads, metavar="N", help="CPU threads (default: all)")
         proof.set_defaults(do=_prove)
-    clinic = commands.add_parser("clinic", help="a scene's corneal response beside published norms, switch by switch",
-                                 description="Run a scene without a film, once as it is, once without each of its switches, "
-                                 "and at other IOPs and thicknesses; dynamic corneal response beside norms and slopes.")
+    clinic = commands.add_parser(
+        "clinic",
+        help="a scene's corneal response beside published norms, switch by switch",
+        description="Run a scene without a film, once as it is, once without each of its switches, "
+        "and at other IOPs and thicknesses; dynamic corneal response beside norms and slopes.",
+    )
     clinic.add_argument("scene", help="scene file (TOML)")
-    clinic.add_argument("--set", dest="overrides", metavar="SECTION.KEY=VALUE", action="append", default=[],
-                        help="override a key of the scene; may be repeated")
+    clinic.add_argument(
+        "--set",
+        dest="overrides",
+        metavar="SECTION.KEY=VALUE",
+        action="append",
+        default=[],
+        help="override a key of the scene; may be repeated",
+    )
     clinic.add_argument("--out", metavar="DIR", help="folder of the page, new or empty (default: under renders/)")
     clinic.add_argument("--json", metavar="FILE", help="the tables as JSON")
     clinic.add_argument("--threads", type=_threads, metavar="N", help="CPU threads (default: all)")
     clinic.add_argument("--quiet", action="store_true", help="no progress bar")
     clinic.set_defaults(do=_clinic)
-    claims = commands.add_parser("claims", help="put the paper's claims on delay, asymmetry and IOP to the model",
-                                 description="Run some forty puffs on the default eye that differ in one thing each and "
-                                 "say which of the paper's claims hold: claims.html and claims.csv.")
-    claims.add_argument("--out", metavar="DIR", help="folder for the page, new or empty (default: a new one under renders/)")
+    claims = commands.add_parser(
+        "claims",
+        help="put the paper's claims on delay, asymmetry and IOP to the model",
+        description="Run some forty puffs on the default eye that differ in one thing each and "
+        "say which of the paper's claims hold: claims.html and claims.csv.",
+    )
+    claims.add_argument(
+        "--out", metavar="DIR", help="folder for the page, new or empty (default: a new one under renders/)"
+    )
     claims.add_argument("--spacing-mm", type=float, default=0.25, metavar="H", help="node spacing (default: 0.25)")
     claims.add_argument("--json", metavar="FILE", help="also write claims, sensitivities and all runs as JSON")
     claims.add_argument("--quiet", action="store_true", help="no progress bar")
@@ -66,17 +91,31 @@ def parser() -> argparse.ArgumentParser:
 
 def _take_scene(command) -> None:
     command.add_argument("scene", nargs="?", help="scene file (TOML); without one, the default eye")
-    command.add_argument("--set", dest="overrides", metavar="SECTION.KEY=VALUE", action="append", default=[],
-                         help="override a key of the scene; may be repeated")
+    command.add_argument(
+        "--set",
+        dest="overrides",
+        metavar="SECTION.KEY=VALUE",
+        action="append",
+        default=[],
+        help="override a key of the scene; may be repeated",
+    )
 
 
 def _add_chart(commands) -> None:
-    chart = commands.add_parser("chart", help="chart speed against accuracy: rungs and settings side by side",
-                                description="Run a scene under every rung of the ladder and many settings, and chart wall time "
-                                "against error: chart.png, chart.html, chart.json. Can be interrupted and resumed.")
+    chart = commands.add_parser(
+        "chart",
+        help="chart speed against accuracy: rungs and settings side by side",
+        description="Run a scene under every rung of the ladder and many settings, and chart wall time "
+        "against error: chart.png, chart.html, chart.json. Can be interrupted and resumed.",
+    )
     _take_scene(chart)
-    chart.add_argument("--budget", type=_positive, default=300.0, metavar="SECONDS",
-                       help="points that do not fit are passed over (default: 300)")
+    chart.add_argument(
+        "--budget",
+        type=_positive,
+        default=300.0,
+        metavar="SECONDS",
+        help="points that do not fit are passed over (default: 300)",
+    )
     chart.add_argument("--out", metavar="DIR", help="folder of the chart, new or empty (default: under renders/)")
     chart.add_argument("--resume", metavar="DIR", help="go on with the chart in this folder")
     chart.add_argument("--json", metavar="FILE", help="the figures as JSON, a copy of chart.json")
@@ -85,20 +124,29 @@ def _add_chart(commands) -> None:
 
 
 def _add_analyze(commands) -> None:
-    analyze = commands.add_parser("analyze", help="measure a Corvis ST film, recorded or computed",
-                                  description="Find the edges of the cornea in a film, a folder of images or a run, undo "
-                                  "refraction and write the dynamic corneal response: parameters.csv, parameters.json, "
-                                  "histories.csv, edges.npz, overlay.mp4, analysis.png.")
-    analyze.add_argument("film", metavar="FILM|FOLDER|RUN", help="film (mp4, avi, ...), folder of images, or run folder")
-    analyze.add_argument("--out", metavar="DIR", help="results folder, new or empty (default: a new one under renders/)")
-    for flag, unit, text in (("--pixel-x-mm", "MM", "width of a pixel (default 0.015625)"),
-                             ("--pixel-y-mm", "MM", "height of a pixel (default 0.0165)"),
-                             ("--frame-interval-ms", "MS", "time between frames (default 0.2315)"),
-                             ("--angle-deg", "DEG", "camera to slit plane (default 45)"),
-                             ("--refractive-index", "N", "of the cornea (default 1.376)"),
-                             ("--biop-mmhg", "MMHG", "pressure of the eye, for SP-A1"),
-                             ("--iop-nct-mmhg", "MMHG", "pressure that the instrument shows; with --age-years, for SP-A1"),
-                             ("--age-years", "YEARS", "see --iop-nct-mmhg")):
+    analyze = commands.add_parser(
+        "analyze",
+        help="measure a Corvis ST film, recorded or computed",
+        description="Find the edges of the cornea in a film, a folder of images or a run, undo "
+        "refraction and write the dynamic corneal response: parameters.csv, parameters.json, "
+        "histories.csv, edges.npz, overlay.mp4, analysis.png.",
+    )
+    analyze.add_argument(
+        "film", metavar="FILM|FOLDER|RUN", help="film (mp4, avi, ...), folder of images, or run folder"
+    )
+    analyze.add_argument(
+        "--out", metavar="DIR", help="results folder, new or empty (default: a new one under renders/)"
+    )
+    for flag, unit, text in (
+        ("--pixel-x-mm", "MM", "width of a pixel (default 0.015625)"),
+        ("--pixel-y-mm", "MM", "height of a pixel (default 0.0165)"),
+        ("--frame-interval-ms", "MS", "time between frames (default 0.2315)"),
+        ("--angle-deg", "DEG", "camera to slit plane (default 45)"),
+        ("--refractive-index", "N", "of the cornea (default 1.376)"),
+        ("--biop-mmhg", "MMHG", "pressure of the eye, for SP-A1"),
+        ("--iop-nct-mmhg", "MMHG", "pressure that the instrument shows; with --age-years, for SP-A1"),
+        ("--age-years", "YEARS", "see --iop-nct-mmhg"),
+    ):
         analyze.add_argument(flag, type=_positive, metavar=unit, help=text)
     analyze.set_defaults(do=_analyze)
 
@@ -146,8 +194,10 @@ def _run(given) -> int:
     for warning in result.summary["warnings"]:
         print(f"warning: {warning}")
     apex = result.summary["apex_displacement_mm"]
-    print(f"{result.folder}: apex {apex['peak']:.3f} mm at {apex['peak_time_ms']:.2f} ms, "
-          f"{result.summary['wall_clock']['total_s']:.1f} s")
+    print(
+        f"{result.folder}: apex {apex['peak']:.3f} mm at {apex['peak_time_ms']:.2f} ms, "
+        f"{result.summary['wall_clock']['total_s']:.1f} s"
+    )
     return 0
 
 
@@ -157,7 +207,9 @@ def _refuse_unwritable(json_file: str | None) -> None:
         return
     path = Path(json_file)
     if path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
-        raise SceneError(f"--json {json_file}: cannot be written; name a file in an existing folder that may be written")
+        raise SceneError(
+            f"--json {json_file}: cannot be written; name a file in an existing folder that may be written"
+        )
 
 
 def _prove(given) -> int:
@@ -226,10 +278,11 @@ def _claims(given) -> int:
 
 
 def _chart(given) -> int:
+    from tqdm import tqdm
+
     from taichi_eye.ladder import chart, chart_page
     from taichi_eye.report.folder import create_run_folder, write_text
     from taichi_eye.scene import load_scene
-    from tqdm import tqdm
 
     scene = load_scene(given.scene, given.overrides)
     if given.resume and given.out:

@@ -1,4 +1,5 @@
-"""The errors that a user of taichi_eye meets: a scene that cannot be, a run that left its validity, a film that cannot be read."""
+"""The errors that a user of taichi_eye meets: a scene that cannot be, a run that left its validity, a film that cannot
+be read."""
 
 from __future__ import annotations
 

@@ -5,6 +5,7 @@ cache. For every node of the syntax tree 1.7.4 wraps the source line and a line 
 that does not come; for every function that it decorates or inlines it asks `inspect`, which walks all loaded modules,
 parses afresh. Here the place is file, line and function, and sources are looked up once.
 """
+
 import functools
 import inspect
 import linecache
@@ -28,18 +29,18 @@ def _inside_class(level_of_class_stackframe: int) -> bool:
     try:
         frame = sys._getframe(level_of_class_stackframe)
     except ValueError:
-        return False          # a function of the script that runs: nothing is above it
+        return False  # a function of the script that runs: nothing is above it
     return bool(IN_CLASS.match(linecache.getline(frame.f_code.co_filename, frame.f_lineno).strip()))
 
 
-@functools.lru_cache(maxsize=None)
+@functools.cache
 def _source_lines(function) -> tuple[list[str], int]:
     """Source lines of a function, decorators included, and the number of the first."""
     code = function.__code__
     lines = linecache.getlines(code.co_filename)
     if not lines:
-        return _taichi_source_lines(function)          # typed at a prompt
-    return inspect.getblock(lines[code.co_firstlineno - 1:]), code.co_firstlineno
+        return _taichi_source_lines(function)  # typed at a prompt
+    return inspect.getblock(lines[code.co_firstlineno - 1 :]), code.co_firstlineno
 
 
 def shorten() -> None:

@@ -1,9 +1,11 @@
 """From a scene to a run folder: simulate, film while it runs, report.
 
-The folder holds film.mp4, apex.png, sheet.png, traces.csv, wall.npz, summary.json and scene.toml; on request film.gif, the folder
-frames/ with a PNG per frame, and fields/ for ParaView. Every file appears whole or not at all. A run that a guard stops
+The folder holds film.mp4, apex.png, sheet.png, traces.csv, wall.npz, summary.json and scene.toml; on request film.gif,
+the folder frames/ with a PNG per frame, and fields/ for ParaView. Every file appears whole or not at all. A run that a
+guard stops
 or the user interrupts leaves the same files up to that time, and its summary says so.
 """
+
 import json
 import math
 import time
@@ -42,8 +44,13 @@ class RunResult:
     traces: dict[str, np.ndarray]
 
 
-def run(scene: Scene, out: str | Path | None = None, name: str = "eye", compare: str | Path | None = None,
-        progress: bool = False) -> RunResult:
+def run(
+    scene: Scene,
+    out: str | Path | None = None,
+    name: str = "eye",
+    compare: str | Path | None = None,
+    progress: bool = False,
+) -> RunResult:
     """Simulate and film a scene into a run folder.
 
     out: a new or empty folder; None for renders/<name>-001, -002, ... compare: CSV with a measured history (columns
@@ -81,8 +88,13 @@ class _Recorder:
         """
         started = time.perf_counter()
         scene, output = self.scene, self.scene.output
-        with tqdm(total=scene.numerics.duration_ms, unit=" ms", disable=not self.progress, dynamic_ncols=True,
-                  bar_format="{desc}{percentage:3.0f}%|{bar}| {n:.1f}/{total:g} ms [{elapsed}<{remaining}]") as bar:
+        with tqdm(
+            total=scene.numerics.duration_ms,
+            unit=" ms",
+            disable=not self.progress,
+            dynamic_ncols=True,
+            bar_format="{desc}{percentage:3.0f}%|{bar}| {n:.1f}/{total:g} ms [{elapsed}<{remaining}]",
+        ) as bar:
             bar.set_description_str("compiling kernels: ")
             simulation = self._simulation(cloud)
             self.folder = create_run_folder(out, name)
@@ -98,9 +110,11 @@ class _Recorder:
             if output.node_fields:
                 # meshio is slow to load, and few runs need it
                 from taichi_eye.report.paraview import ParaviewWriter
+
                 self.paraview = ParaviewWriter(self.folder / "fields")
-            with FilmWriter(self.folder / "film.mp4", output.film_fps,
-                            self.folder / "frames" if output.png_frames else None) as film:
+            with FilmWriter(
+                self.folder / "film.mp4", output.film_fps, self.folder / "frames" if output.png_frames else None
+            ) as film:
 
                 def on_frame(_, frame):
                     before = time.perf_counter()
@@ -134,12 +148,21 @@ class _Recorder:
         retreat = float(retreat_mm(scene, simulation.time_ms))
         place, velocity, pressure, count = simulation.liquid() if needs_cloud(scene) else (None, None, None, 0)
         state = FrameState(
-            time_ms=simulation.time_ms, wall=simulation.cornea.place, wall_count=simulation.wall_count,
-            nodes=place, node_count=count, pressure=pressure, velocity=velocity, trace_time_ms=traces["time_ms"],
-            trace_apex_mm=traces["apex_displacement_mm"], trace_puff_kpa=traces["puff_apex_kpa"], retreat_mm=retreat)
+            time_ms=simulation.time_ms,
+            wall=simulation.cornea.place,
+            wall_count=simulation.wall_count,
+            nodes=place,
+            node_count=count,
+            pressure=pressure,
+            velocity=velocity,
+            trace_time_ms=traces["time_ms"],
+            trace_apex_mm=traces["apex_displacement_mm"],
+            trace_puff_kpa=traces["puff_apex_kpa"],
+            retreat_mm=retreat,
+        )
         image = view.render(state)
         film.write(image, simulation.time_ms)
-        wall = simulation.cornea.place.to_numpy()[:simulation.wall_count] / MM
+        wall = simulation.cornea.place.to_numpy()[: simulation.wall_count] / MM
         self.walls.append((simulation.time_ms, wall - [0.0, retreat]))
         if frame % self.stride == 0 or frame == scene.camera.frame_count - 1:
             slit = view.scheimpflug_frame(state) if view.slit is None else view.slit
@@ -149,10 +172,13 @@ class _Recorder:
         if self.paraview is not None:
             walls = simulation.wall_count
             self.paraview.add_frame(
-                simulation.time_ms, place.to_numpy()[:count], simulation.cloud.triangles,
+                simulation.time_ms,
+                place.to_numpy()[:count],
+                simulation.cloud.triangles,
                 {"excess_pressure_pa": pressure.to_numpy()[:count], "velocity_m_s": velocity.to_numpy()[:count]},
                 simulation.cornea.place.to_numpy()[:walls],
-                {"velocity_m_s": simulation.cornea.velocity.to_numpy()[:walls]})
+                {"velocity_m_s": simulation.cornea.velocity.to_numpy()[:walls]},
+            )
 
     def _report(self, simulation, stop) -> RunResult:
         traces = simulation.arrays()
@@ -160,6 +186,7 @@ class _Recorder:
             return RunResult(self.folder, {}, {})
         # matplotlib's figures are slow to load: not before the film is done
         from taichi_eye.report.plots import plot_apex, plot_sheet, sheet_times
+
         before = time.perf_counter()
         write_traces(self.folder / "traces.csv", traces)
         if self.walls:
@@ -169,12 +196,18 @@ class _Recorder:
         history = summarise(traces["time_ms"], traces["apex_displacement_mm"])
         if self.frames:
             times = np.array([at for at, _ in self.frames])
-            chosen = [self.frames[int(np.argmin(np.abs(times - wanted)))]
-                      for wanted in sheet_times(history, float(times[-1]))]
+            chosen = [
+                self.frames[int(np.argmin(np.abs(times - wanted)))] for wanted in sheet_times(history, float(times[-1]))
+            ]
             plot_sheet(self.folder / "sheet.png", chosen)
         if self.colour_frames:
-            write_gif(self.colour_frames, self.folder / "film.gif", width_px=GIF_WIDTH_PX,
-                      fps=self.scene.output.film_fps / (GIF_STRIDE * self.stride), colours=GIF_COLOURS)
+            write_gif(
+                self.colour_frames,
+                self.folder / "film.gif",
+                width_px=GIF_WIDTH_PX,
+                fps=self.scene.output.film_fps / (GIF_STRIDE * self.stride),
+                colours=GIF_COLOURS,
+            )
         self.clock["report_s"] = time.perf_counter() - before
         summary = _summary(simulation, traces, history, stop, self.clock, self.measured)
         if self.choice is not None:
@@ -185,17 +218,24 @@ class _Recorder:
 
 def _announce(simulation) -> str:
     scene = simulation.scene
-    return (f"cornea   {simulation.wall_count - 1} elements, R {scene.cornea.radius_mm:g} mm, limbus "
-            f"{scene.cornea.limbus_radius_mm:g} mm, {scene.cornea.thickness_mm:g} mm thick, IOP {scene.eye.iop_mmhg:g} mmHg\n"
-            f"aqueous  {scene.numerics.fidelity}: {simulation.about()}\n"
-            f"puff     {scene.puff.time_course}, {float(simulation.puff.peak) / 1e3:g} kPa")
+    return (
+        f"cornea   {simulation.wall_count - 1} elements, R {scene.cornea.radius_mm:g} mm, limbus "
+        f"{scene.cornea.limbus_radius_mm:g} mm, {scene.cornea.thickness_mm:g} mm thick, IOP "
+        f"{scene.eye.iop_mmhg:g} mmHg\n"
+        f"aqueous  {scene.numerics.fidelity}: {simulation.about()}\n"
+        f"puff     {scene.puff.time_course}, {float(simulation.puff.peak) / 1e3:g} kPa"
+    )
 
 
 def _summary(simulation, traces, history, stop, clock, measured) -> dict:
     load = summarise(traces["time_ms"], traces["puff_apex_kpa"])
     work = float(np.abs(traces["puff_work_uj"]).max())
-    apex = {**asdict(history), "fwhm_ms": history.fwhm_ms, "asymmetry": history.asymmetry,
-            "delay_to_puff_ms": history.peak_time_ms - load.peak_time_ms if history.peak > 0 else None}
+    apex = {
+        **asdict(history),
+        "fwhm_ms": history.fwhm_ms,
+        "asymmetry": history.asymmetry,
+        "delay_to_puff_ms": history.peak_time_ms - load.peak_time_ms if history.peak > 0 else None,
+    }
     summary = {
         "status": "complete" if stop is None else "stopped",
         "reason": None if stop is None else (str(stop) or "interrupted"),
@@ -211,8 +251,10 @@ def _summary(simulation, traces, history, stop, clock, measured) -> dict:
     }
     summary["warnings"] = _warnings(summary, simulation.scene)
     if measured is not None:
-        summary["against"] = {"file": measured.name, **differences(traces["time_ms"], traces["apex_displacement_mm"],
-                                                                   measured)}
+        summary["against"] = {
+            "file": measured.name,
+            **differences(traces["time_ms"], traces["apex_displacement_mm"], measured),
+        }
     return summary
 
 
@@ -221,9 +263,13 @@ def _warnings(summary, scene) -> list[str]:
     said = []
     balance, squeezed = summary["energy_error_share_of_work"], summary["chamber_volume_error_max"]
     if balance > BALANCE_DOUBTED:
-        said.append(f"the energy balance is off by {100 * balance:.1f} % of the puff's work: lower numerics.spacing_mm"
-                    + (", or use numerics.wall_condition = \"slip\"" if scene.numerics.wall_condition == "no_slip" else ""))
+        said.append(
+            f"the energy balance is off by {100 * balance:.1f} % of the puff's work: lower numerics.spacing_mm"
+            + (', or use numerics.wall_condition = "slip"' if scene.numerics.wall_condition == "no_slip" else "")
+        )
     if scene.chamber.sealed and scene.numerics.fidelity != "membrane" and squeezed > SQUEEZE_DOUBTED:
-        said.append(f"the liquid was compressed by {100 * squeezed:.1f} %, which deepens the dent: raise "
-                    "numerics.sound_speed_m_s")
+        said.append(
+            f"the liquid was compressed by {100 * squeezed:.1f} %, which deepens the dent: raise "
+            "numerics.sound_speed_m_s"
+        )
     return said

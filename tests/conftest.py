@@ -1,4 +1,5 @@
 """One Taichi for the whole session: CPU, double precision."""
+
 import pytest
 
 from taichi_eye import backend

@@ -1,4 +1,5 @@
 """The command line as a user types it."""
+
 import json
 import os
 import subprocess
@@ -33,8 +34,13 @@ FRAMES = 11  # at 0, 0.2315, ... 2.315 ms
 def typed(*words, cwd, status=0):
     """Run `python -m taichi_eye run ...` in a folder; its output, once the exit status is the expected one."""
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-    done = subprocess.run([sys.executable, "-m", "taichi_eye", "run", *map(str, words)], cwd=cwd, text=True,
-                          capture_output=True, env=os.environ | {"PYTHONPATH": path})
+    done = subprocess.run(
+        [sys.executable, "-m", "taichi_eye", "run", *map(str, words)],
+        cwd=cwd,
+        text=True,
+        capture_output=True,
+        env=os.environ | {"PYTHONPATH": path},
+    )
     assert done.returncode == status, done.stdout + done.stderr
     return done
 
@@ -59,8 +65,20 @@ def desk(tmp_path_factory):
 @pytest.fixture(scope="module")
 def first(desk):
     """The folder of a run with everything on."""
-    typed("tiny.toml", "--out", "first", "--threads", "1", "--compare", "measured.csv",
-          "--set", "output.png_frames=true", "--set", "output.node_fields=true", cwd=desk)
+    typed(
+        "tiny.toml",
+        "--out",
+        "first",
+        "--threads",
+        "1",
+        "--compare",
+        "measured.csv",
+        "--set",
+        "output.png_frames=true",
+        "--set",
+        "output.node_fields=true",
+        cwd=desk,
+    )
     return desk / "first"
 
 
@@ -113,7 +131,7 @@ def test_paraview_opens_every_frame_at_its_time(first):
     np.testing.assert_allclose(sorted({time for time, _ in entries}), 0.2315 * np.arange(FRAMES), atol=1e-9)
     assert names(first / "fields") == {file for _, file in entries} | {"fields.pvd"}
     summary = json.loads((first / "summary.json").read_text())["cloud"]
-    for time, file in entries[-2:]:
+    for _, file in entries[-2:]:
         mesh = meshio.read(first / "fields" / file)
         fluid = file.startswith("fluid")
         assert len(mesh.points) == summary["nodes" if fluid else "wall_nodes"]
@@ -129,14 +147,24 @@ def test_written_scene_runs_again_to_the_same_bits(first, desk):
     assert (desk / "again" / "scene.toml").read_bytes() == (first / "scene.toml").read_bytes()
     for frame in sorted(names(first / "frames")):
         assert (desk / "again" / "frames" / frame).read_bytes() == (first / "frames" / frame).read_bytes()
-    assert load_scene(first / "scene.toml") == load_scene(desk / "tiny.toml", ["output.png_frames=true",
-                                                                               "output.node_fields=true"])
+    assert load_scene(first / "scene.toml") == load_scene(
+        desk / "tiny.toml", ["output.png_frames=true", "output.node_fields=true"]
+    )
 
 
 def test_the_same_command_twice_gives_the_same_bits_in_numbered_folders(desk):
     for number in (1, 2):
-        said = typed("tiny.toml", "--set", "camera.view=particles", "--set", "eye.iop_mmhg=20", "--threads", "2",
-                     "--quiet", cwd=desk)
+        said = typed(
+            "tiny.toml",
+            "--set",
+            "camera.view=particles",
+            "--set",
+            "eye.iop_mmhg=20",
+            "--threads",
+            "2",
+            "--quiet",
+            cwd=desk,
+        )
         assert f"renders/tiny-{number:03d}" in said.stdout and "apex" in said.stdout
         assert said.stderr.strip() == ""
     one, two = desk / "renders" / "tiny-001", desk / "renders" / "tiny-002"
@@ -155,9 +183,20 @@ def test_single_precision_runs_to_nearly_the_same_history(first, desk):
 
 
 def test_a_run_that_a_guard_stops_leaves_readable_files_and_status_1(desk):
-    said = typed("--set", "numerics.spacing_mm=0.3", "--set", "numerics.sound_speed_m_s=20", "--set",
-                 "numerics.dissipation=0", "--set", "camera.view=scheimpflug", "--set", "numerics.duration_ms=6",
-                 cwd=desk, status=1)
+    said = typed(
+        "--set",
+        "numerics.spacing_mm=0.3",
+        "--set",
+        "numerics.sound_speed_m_s=20",
+        "--set",
+        "numerics.dissipation=0",
+        "--set",
+        "camera.view=scheimpflug",
+        "--set",
+        "numerics.duration_ms=6",
+        cwd=desk,
+        status=1,
+    )
     message = said.stderr.strip().splitlines()
     assert any("stopped at" in line and "numerics.dissipation" in line for line in message)
     assert "Traceback" not in said.stderr
@@ -183,8 +222,10 @@ def test_a_folder_that_is_not_empty_is_refused_and_left_alone(desk):
 
 
 BAD = {
-    "limbus beyond the cornea": (["--set", "cornea.limbus_radius_mm=8"],
-                                 ["cornea.limbus_radius_mm = 8.0", "cornea.radius_mm"]),
+    "limbus beyond the cornea": (
+        ["--set", "cornea.limbus_radius_mm=8"],
+        ["cornea.limbus_radius_mm = 8.0", "cornea.radius_mm"],
+    ),
     "negative thickness": (["--set", "cornea.thickness_mm=-0.5"], ["cornea.thickness_mm = -0.5", "> 0"]),
     "unknown key": (["--set", "cornea.tickness_mm=0.5"], ["cornea.tickness_mm", "unknown key", "thickness_mm"]),
     "unknown section": (["--set", "kornea.radius_mm=7"], ["kornea", "unknown section", "cornea"]),
@@ -225,8 +266,17 @@ def test_bad_input_reaches_the_shell_as_status_2(desk):
     assert names(desk) == before
 
 
-@pytest.mark.parametrize("words", [["--threads", "none"], ["--threads", "0"], ["--arch", "abacus"],
-                                   ["--precision", "f16"], ["--no-such-flag"], ["one.toml", "two.toml"]])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--threads", "none"],
+        ["--threads", "0"],
+        ["--arch", "abacus"],
+        ["--precision", "f16"],
+        ["--no-such-flag"],
+        ["one.toml", "two.toml"],
+    ],
+)
 def test_misspelt_flags_are_refused_by_name(words, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as caught:

@@ -1,4 +1,5 @@
 """The Python interface: a scene in, a run folder out."""
+
 import json
 
 import imageio_ffmpeg
@@ -102,13 +103,15 @@ def test_readme_names_are_there():
     for name in taichi_eye.__all__:
         assert getattr(taichi_eye, name) is not None
     with pytest.raises(AttributeError, match="no attribute 'simulate'"):
-        taichi_eye.simulate
+        taichi_eye.simulate  # noqa: B018
 
 
 def test_a_soft_liquid_is_warned_of_and_a_stiff_one_is_not(tmp_path, result):
     assert result.summary["warnings"] == []
-    soft = taichi_eye.load_scene(None, ["numerics.spacing_mm=0.3", "numerics.sound_speed_m_s=5",
-                                        "numerics.duration_ms=12", "camera.view=scheimpflug"])
+    soft = taichi_eye.load_scene(
+        None,
+        ["numerics.spacing_mm=0.3", "numerics.sound_speed_m_s=5", "numerics.duration_ms=12", "camera.view=scheimpflug"],
+    )
     summary = taichi_eye.run(soft, tmp_path / "soft").summary
     assert summary["chamber_volume_error_max"] > 0.01
     assert len(summary["warnings"]) == 1 and "numerics.sound_speed_m_s" in summary["warnings"][0]

@@ -13,5 +13,20 @@ from taichi_eye.analysis.edges import Edges, find_edges
 from taichi_eye.analysis.frames import Film, read_film
 from taichi_eye.analysis.response import Histories, Response, histories, respond
 
-__all__ = ["Analysis", "Curves", "Edges", "Film", "Histories", "Instrument", "Response", "analyze", "curves_from_edges",
-           "curves_from_wall", "find_edges", "histories", "read_film", "respond", "table"]
+__all__ = [
+    "Analysis",
+    "Curves",
+    "Edges",
+    "Film",
+    "Histories",
+    "Instrument",
+    "Response",
+    "analyze",
+    "curves_from_edges",
+    "curves_from_wall",
+    "find_edges",
+    "histories",
+    "read_film",
+    "respond",
+    "table",
+]

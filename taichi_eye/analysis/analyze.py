@@ -14,8 +14,14 @@ from taichi_eye.analysis.edges import Edges, find_edges
 from taichi_eye.analysis.frames import Film, read_film
 from taichi_eye.analysis.norms import NORMS, z_scores
 from taichi_eye.analysis.pictures import plot_page, write_overlay
-from taichi_eye.analysis.response import (Histories, Response, biop_surrogate_mmhg, histories, measured_puff_mmhg,
-                                          respond)
+from taichi_eye.analysis.response import (
+    Histories,
+    Response,
+    biop_surrogate_mmhg,
+    histories,
+    measured_puff_mmhg,
+    respond,
+)
 from taichi_eye.errors import FilmError
 from taichi_eye.report.folder import create_run_folder, replacing, write_text
 
@@ -38,14 +44,21 @@ class Analysis:
     folder: Path | None = None
 
 
-def analyze(path: str | Path, out: str | Path | None = None, write: bool = True, iop_nct_mmhg: float | None = None,
-            age_years: float | None = None, biop_mmhg: float | None = None, **settings: float | None) -> Analysis:
+def analyze(
+    path: str | Path,
+    out: str | Path | None = None,
+    write: bool = True,
+    iop_nct_mmhg: float | None = None,
+    age_years: float | None = None,
+    biop_mmhg: float | None = None,
+    **settings: float | None,
+) -> Analysis:
     """Measure a film, a folder of images or a run.
 
     out: a new or empty folder for the results; None for renders/<name>-analysis-001, ... write: False for no files.
     biop_mmhg: pressure of the eye, for SP-A1; or iop_nct_mmhg and age_years, from which it is estimated with the
-    measured thickness. settings: fields of `Instrument` that differ from the defaults. Raises FilmError where nothing can be
-    read, before anything is written; SceneError for a bad output folder.
+    measured thickness. settings: fields of `Instrument` that differ from the defaults. Raises FilmError where nothing
+    can be read, before anything is written; SceneError for a bad output folder.
     """
     film = read_film(path, **settings)
     edges = find_edges(film.frames)
@@ -87,8 +100,11 @@ def write_results(result: Analysis, folder: Path) -> None:
     populations = list(NORMS)
     with replacing(folder / "parameters.csv") as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(["parameter", "value"] + (["computed"] if result.true_response else [])
-                      + [f"{what}_{population}" for population in populations for what in ("mean", "sd", "z")])
+        rows.writerow(
+            ["parameter", "value"]
+            + (["computed"] if result.true_response else [])
+            + [f"{what}_{population}" for population in populations for what in ("mean", "sd", "z")]
+        )
         for f in fields(Response):
             value = getattr(result.response, f.name)
             row = [f.name, _figure(value)]
@@ -99,25 +115,43 @@ def write_results(result: Analysis, folder: Path) -> None:
                 row += [mean, deviation, "" if z is None else f"{z:.2f}"]
             rows.writerow(row)
     report = {
-        "source": film.name, "frames": len(film.frames), "notes": list(result.notes),
-        "instrument": asdict(film.instrument), "axis_column_px": curves.axis_column_px,
-        "apex_row_px": curves.apex_row_px, "tilt_deg": curves.tilt_deg, "parameters": asdict(result.response),
-        "computed": None if result.true_response is None else asdict(result.true_response), "z_scores": scores,
+        "source": film.name,
+        "frames": len(film.frames),
+        "notes": list(result.notes),
+        "instrument": asdict(film.instrument),
+        "axis_column_px": curves.axis_column_px,
+        "apex_row_px": curves.apex_row_px,
+        "tilt_deg": curves.tilt_deg,
+        "parameters": asdict(result.response),
+        "computed": None if result.true_response is None else asdict(result.true_response),
+        "z_scores": scores,
     }
     write_text(folder / "parameters.json", json.dumps(report, indent=2, allow_nan=False) + "\n")
     thickness = curves.thickness_mm if curves.thickness_mm is not None else np.full(len(history.time_ms), np.nan)
-    columns = {"time_ms": history.time_ms, "apex_deformation_mm": history.apex_mm,
-               "apex_deflection_mm": history.apex_mm - history.whole_eye_mm,
-               "whole_eye_movement_mm": history.whole_eye_mm, "apex_velocity_m_s": history.velocity_m_s,
-               "curvature_per_mm": history.curvature_per_mm, "central_thickness_mm": thickness}
+    columns = {
+        "time_ms": history.time_ms,
+        "apex_deformation_mm": history.apex_mm,
+        "apex_deflection_mm": history.apex_mm - history.whole_eye_mm,
+        "whole_eye_movement_mm": history.whole_eye_mm,
+        "apex_velocity_m_s": history.velocity_m_s,
+        "curvature_per_mm": history.curvature_per_mm,
+        "central_thickness_mm": thickness,
+    }
     with replacing(folder / "histories.csv") as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(columns)
         rows.writerows([_figure(value) for value in row] for row in zip(*columns.values()))
     with replacing(folder / "edges.npz") as temporary:
-        np.savez_compressed(temporary, time_ms=film.time_ms, anterior_px=result.edges.anterior,
-                            posterior_px=result.edges.posterior, posterior_column_px=result.edges.posterior_column,
-                            curve_time_ms=curves.time_ms, x_mm=curves.x_mm, height_mm=curves.height_mm)
+        np.savez_compressed(
+            temporary,
+            time_ms=film.time_ms,
+            anterior_px=result.edges.anterior,
+            posterior_px=result.edges.posterior,
+            posterior_column_px=result.edges.posterior_column,
+            curve_time_ms=curves.time_ms,
+            x_mm=curves.x_mm,
+            height_mm=curves.height_mm,
+        )
     write_overlay(folder / "overlay.mp4", film.frames, film.time_ms, result.edges, curves, history, result.response)
     plot_page(folder / "analysis.png", film.name, curves, history, result.response, result.true_histories)
 
@@ -127,8 +161,11 @@ def table(result: Analysis) -> str:
     scores = z_scores(result.response)
     populations = list(NORMS)
     computed = result.true_response is not None
-    lines = [f"{'parameter':34}{'measured':>10}" + (f"{'computed':>10}" if computed else "")
-             + "".join(f"{'z ' + population:>11}" for population in populations)]
+    lines = [
+        f"{'parameter':34}{'measured':>10}"
+        + (f"{'computed':>10}" if computed else "")
+        + "".join(f"{'z ' + population:>11}" for population in populations)
+    ]
     for f in fields(Response):
         value = getattr(result.response, f.name)
         line = f"{f.name:34}{_cell(value):>10}"

@@ -20,12 +20,12 @@ from taichi_eye.analysis.edges import Edges
 from taichi_eye.errors import FilmError
 
 X_STEP_MM, X_REACH_MM = 0.02, 4.5
-SMOOTH_MM = 0.62             # length of the cubic that smooths a curve
-REST_MS = 1.2                # frames that make up the resting shape
-SYMMETRY_MM = 2.2            # reach of the symmetry that gives the axis
+SMOOTH_MM = 0.62  # length of the cubic that smooths a curve
+REST_MS = 1.2  # frames that make up the resting shape
+SYMMETRY_MM = 2.2  # reach of the symmetry that gives the axis
 MOVED_MM = 0.05
-FOUND_MIN = 0.6              # share of the central columns with an edge, for a frame to count
-CENTRAL_MM = 0.6             # half width of the zone of the central thickness
+FOUND_MIN = 0.6  # share of the central columns with an edge, for a frame to count
+CENTRAL_MM = 0.6  # half width of the zone of the central thickness
 
 
 @dataclass(frozen=True)
@@ -65,13 +65,18 @@ def grid() -> np.ndarray:
     return X_STEP_MM * np.arange(-count, count + 1)
 
 
-def curves_from_wall(time_ms: np.ndarray, r_mm: np.ndarray, z_mm: np.ndarray,
-                     thickness_mm: float | None = None) -> Curves:
+def curves_from_wall(
+    time_ms: np.ndarray, r_mm: np.ndarray, z_mm: np.ndarray, thickness_mm: float | None = None
+) -> Curves:
     """Curves of an axisymmetric membrane: r_mm, z_mm [frames, nodes], apex first, at time_ms [frames]."""
     x = grid()
     height = np.stack([_even_spline(r, z, np.abs(x)) for r, z in zip(np.asarray(r_mm, float), np.asarray(z_mm, float))])
-    return Curves(np.asarray(time_ms, float), x, height - height[0, len(x) // 2],
-                  None if thickness_mm is None else np.full(len(height), float(thickness_mm)))
+    return Curves(
+        np.asarray(time_ms, float),
+        x,
+        height - height[0, len(x) // 2],
+        None if thickness_mm is None else np.full(len(height), float(thickness_mm)),
+    )
 
 
 def _even_spline(r: np.ndarray, z: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -85,7 +90,7 @@ def curves_from_edges(edges: Edges, time_ms: np.ndarray, instrument: Instrument)
     seen = np.isfinite(edges.anterior)
     width = seen.shape[1]
     third = slice(width // 3, width - width // 3)
-    good = (seen.mean(axis=1) > FOUND_MIN)
+    good = seen.mean(axis=1) > FOUND_MIN
     if good.mean() < 0.5 or good.sum() < 8:
         raise FilmError(f"a corneal section was found in {good.sum()} of {len(good)} frames only")
     notes = []
@@ -130,8 +135,17 @@ def curves_from_edges(edges: Edges, time_ms: np.ndarray, instrument: Instrument)
         central = np.abs(places[inside]) <= CENTRAL_MM
         thick = _row_mean(local[:, central])
         profile = np.interp(x, places[inside], _row_mean(local[rest].T), left=np.nan, right=np.nan)
-    return Curves(time, x, turned, thick, profile, centre / instrument.pixel_x_mm, -top / instrument.pixel_y_mm,
-                  degrees(turn), tuple(notes))
+    return Curves(
+        time,
+        x,
+        turned,
+        thick,
+        profile,
+        centre / instrument.pixel_x_mm,
+        -top / instrument.pixel_y_mm,
+        degrees(turn),
+        tuple(notes),
+    )
 
 
 def smooth(height: np.ndarray) -> np.ndarray:
@@ -147,8 +161,9 @@ def smooth(height: np.ndarray) -> np.ndarray:
     return out
 
 
-def _turned_about(x: np.ndarray, height: np.ndarray, base: np.ndarray, centre: float,
-                  onto: np.ndarray) -> tuple[float, float, np.ndarray]:
+def _turned_about(
+    x: np.ndarray, height: np.ndarray, base: np.ndarray, centre: float, onto: np.ndarray
+) -> tuple[float, float, np.ndarray]:
     """Slope and height of the resting surface at `centre`, and all curves turned upright about that point."""
     slope, top = _tangent(x, base, centre)
     return slope, top, np.stack([_turned(x - centre, one - top, atan(slope), onto) for one in height])
@@ -198,8 +213,8 @@ def _axis(x: np.ndarray, displacement: np.ndarray) -> float | None:
     mean = _row_mean(displacement[deepest].T)
     good = np.isfinite(mean)
     mean = savgol_filter(np.interp(x, x[good], mean[good]), 31, 2)
-    mean[:np.argmax(good)] = np.nan
-    mean[len(good) - np.argmax(good[::-1]):] = np.nan
+    mean[: np.argmax(good)] = np.nan
+    mean[len(good) - np.argmax(good[::-1]) :] = np.nan
     top = np.nanmax(mean)
     if top - np.nanmin(mean) < MOVED_MM:
         return None

@@ -8,9 +8,11 @@ path, averaged along it over a few columns, and the edge is put where the grey l
 to the anterior line's.
 
 Posterior edge. It has no line of its own, only a soft fall: in the straightened frame the model
-a + b [(1 - fade d/e) step((e - d)/sigma) + foot line(d)] of depth d, the stroma's fading light and the foot of the anterior
-line, is fitted to groups of columns, linear in a and b, the edge e by search. What tissue and slit give a column stays the
-same while the cornea moves, so fade and foot are fitted once per group, to the mean of the frames that show the cornea
+a + b [(1 - fade d/e) step((e - d)/sigma) + foot line(d)] of depth d, the stroma's fading light and the foot of the
+anterior line, is fitted to groups of columns, linear in a and b, the edge e by search. What tissue and slit give a
+column stays
+the same while the cornea moves, so fade and foot are fitted once per group, to the mean of the frames that show the
+cornea
 thick. Fitted anew in every frame they swap with the edge where a thin cornea is seen short (a dent: 0.57 of its
 thickness): errors of 50 um and more, where this leaves 3 um rms.
 
@@ -26,30 +28,30 @@ import numpy as np
 from scipy.ndimage import correlate1d, gaussian_filter1d, median_filter
 from scipy.special import erf
 
-REACH_PX = 8             # rows averaged on either side of a step
-CEILING = 0.30           # of the typical step of a frame's central columns: more does not count
-SLOPE_MAX_PX = 4         # rows from one column pair to the next
-SLOPE_COST = 0.03        # of the ceiling, per row of change
-LIT_ABOVE = 0.5          # weight of what shines above a step
+REACH_PX = 8  # rows averaged on either side of a step
+CEILING = 0.30  # of the typical step of a frame's central columns: more does not count
+SLOPE_MAX_PX = 4  # rows from one column pair to the next
+SLOPE_COST = 0.03  # of the ceiling, per row of change
+LIT_ABOVE = 0.5  # weight of what shines above a step
 LIT_REACH_PX = 40
-PAD_PX = 12              # rows of air put over the frame: a cut cornea's path runs there
-CONTRAST_MIN = 6.0       # grey levels from air to anterior line
-ALONG_PX = 3.0           # standard deviation of the average along the edge
-STEP_PX = 0.5            # of the straightened frame
+PAD_PX = 12  # rows of air put over the frame: a cut cornea's path runs there
+CONTRAST_MIN = 6.0  # grey levels from air to anterior line
+ALONG_PX = 3.0  # standard deviation of the average along the edge
+STEP_PX = 0.5  # of the straightened frame
 ABOVE_PX, BELOW_PX = 14.0, 44.0
-LINE_WITHIN_PX = 9.0     # the anterior line peaks so far below its edge, at most
-OUTLIER_PX = 2.5         # from the median of the neighbouring columns
-GROUP_PX = 12            # columns of a posterior fit
-ACROSS_GROUPS = 3        # groups whose misfits are averaged
-ALONG_FRAMES = 0.25, 0.5, 0.25   # weights of a frame's misfit and its neighbours': depth changes little between frames
+LINE_WITHIN_PX = 9.0  # the anterior line peaks so far below its edge, at most
+OUTLIER_PX = 2.5  # from the median of the neighbouring columns
+GROUP_PX = 12  # columns of a posterior fit
+ACROSS_GROUPS = 3  # groups whose misfits are averaged
+ALONG_FRAMES = 0.25, 0.5, 0.25  # weights of a frame's misfit and its neighbours': depth changes little between frames
 POSTERIOR_SIGMA_PX = 2.55
 POSTERIOR_FROM_PX = 6.0
 LINE_AT_PX, LINE_SIGMA_PX = 4.5, 2.2
 POSTERIOR_BAND_PX = 9.0, 34.0
 POSTERIOR_STEP_PX = 0.25
-CHAMBER_PX = 9.0         # fitted below the edge; iris and lens further down are none of the model
+CHAMBER_PX = 9.0  # fitted below the edge; iris and lens further down are none of the model
 FADE_MAX, FOOT_MAX = 0.9, 3.0
-POSTERIOR_SHARES = 0.55, 1.6   # of the usual depth in the middle
+POSTERIOR_SHARES = 0.55, 1.6  # of the usual depth in the middle
 POSTERIOR_STRAY_PX = 3.0
 POSTERIOR_OUTLIER_PX = 2.0
 
@@ -79,25 +81,31 @@ def find_edges(frames: np.ndarray) -> Edges:
 
 
 def _chunks(stack: np.ndarray, size: int = 32) -> list[np.ndarray]:
-    return [stack[k:k + size] for k in range(0, len(stack), size)]
+    return [stack[k : k + size] for k in range(0, len(stack), size)]
 
 
 def _paths(frames: np.ndarray) -> np.ndarray:
     """Rows of the best path through each frame, shape [frames, columns]; below 0 in the padding."""
     count, height, width = frames.shape
     pairs = width // 2
-    image = np.minimum(frames[:, :, :2 * pairs], 160).astype(np.float32)
+    image = np.minimum(frames[:, :, : 2 * pairs], 160).astype(np.float32)
     image = correlate1d(0.5 * (image[:, :, ::2] + image[:, :, 1::2]), np.full(3, 1 / 3), axis=2, mode="nearest")
     air = np.percentile(image, 10, axis=(1, 2))[:, None, None].astype(np.float32)
-    padded = np.concatenate([np.broadcast_to(air, (count, PAD_PX + LIT_REACH_PX, pairs)), image,
-                             np.broadcast_to(image[:, -1:], (count, REACH_PX, pairs))], axis=1)
+    padded = np.concatenate(
+        [
+            np.broadcast_to(air, (count, PAD_PX + LIT_REACH_PX, pairs)),
+            image,
+            np.broadcast_to(image[:, -1:], (count, REACH_PX, pairs)),
+        ],
+        axis=1,
+    )
     total = np.concatenate([np.zeros((count, 1, pairs), np.float32), np.cumsum(padded, axis=1)], axis=1)
     # an edge between the padded rows k - 1 and k, k = LIT_REACH_PX ... : index j = k - LIT_REACH_PX
     rows = height + PAD_PX
 
     def mean(start: int, stop: int) -> np.ndarray:
         k = LIT_REACH_PX
-        return (total[:, k + stop:k + stop + rows] - total[:, k + start:k + start + rows]) / (stop - start)
+        return (total[:, k + stop : k + stop + rows] - total[:, k + start : k + start + rows]) / (stop - start)
 
     step = mean(0, REACH_PX) - mean(-REACH_PX, 0)
     third = pairs // 3
@@ -121,7 +129,7 @@ def _best_path(gain: np.ndarray) -> np.ndarray:
         top = ahead[:, :rows] - cost[0]
         move = np.zeros((count, rows), np.int8)
         for index in range(1, len(moves)):
-            other = ahead[:, index:index + rows] - cost[index]
+            other = ahead[:, index : index + rows] - cost[index]
             better = other > top
             np.copyto(top, other, where=better)
             move[better] = index
@@ -137,8 +145,8 @@ def _best_path(gain: np.ndarray) -> np.ndarray:
 
 
 def _refine(frames: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Anterior rows and contrast [frames, columns]; for groups of columns the surface's rows [frames, groups] and the grey
-    levels at the depths from POSTERIOR_FROM_PX on [frames, depths, groups]."""
+    """Anterior rows and contrast [frames, columns]; for groups of columns the surface's rows [frames, groups] and the
+    grey levels at the depths from POSTERIOR_FROM_PX on [frames, depths, groups]."""
     cut = path < 1.0
     guide = gaussian_filter1d(median_filter(path, size=(1, 9), mode="nearest"), 5.0, axis=1, mode="nearest")
     image = frames.astype(np.float32)
@@ -153,8 +161,8 @@ def _refine(frames: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, ...]:
     offset, straight = _straighten(image, surface)
     groups = row.shape[1] // GROUP_PX
     used = offset >= POSTERIOR_FROM_PX
-    level = straight[:, used, :groups * GROUP_PX].reshape(len(row), used.sum(), groups, GROUP_PX).mean(axis=3)
-    return row, contrast, surface[:, :groups * GROUP_PX].reshape(len(row), groups, GROUP_PX).mean(axis=2), level
+    level = straight[:, used, : groups * GROUP_PX].reshape(len(row), used.sum(), groups, GROUP_PX).mean(axis=3)
+    return row, contrast, surface[:, : groups * GROUP_PX].reshape(len(row), groups, GROUP_PX).mean(axis=2), level
 
 
 def offsets() -> np.ndarray:
@@ -179,7 +187,7 @@ def _half_rise(offset: np.ndarray, straight: np.ndarray) -> tuple[np.ndarray, np
     part, offset = straight[:, near], offset[near]
     # a speck, or a logo's corner, stands out over its neighbours: what exceeds them by far is cut off
     usual = median_filter(part[:, ::2, ::4], size=(1, 1, 15), mode="nearest")
-    usual = np.repeat(np.repeat(usual, 4, axis=2), 2, axis=1)[:, :part.shape[1], :part.shape[2]]
+    usual = np.repeat(np.repeat(usual, 4, axis=2), 2, axis=1)[:, : part.shape[1], : part.shape[2]]
     part = gaussian_filter1d(np.minimum(part, 1.25 * usual + 15.0), ALONG_PX, axis=2, mode="nearest")
     broad = gaussian_filter1d(gaussian_filter1d(part, 4.0, axis=2, mode="nearest"), 1.5, axis=1, mode="nearest")
     air = broad[:, offset < -ABOVE_PX + 6.0].mean(axis=1)
@@ -234,8 +242,9 @@ def _fall(depth: np.ndarray, level: np.ndarray) -> np.ndarray:
         body = step * (1.0 - fade[:, None] * np.minimum(d / edge, 1.0)) + foot[:, None] * line
         return np.stack([np.ones_like(body), body], axis=2)
 
-    misfit = correlate1d(_misfit(depth, level, candidates, lit), np.full(ACROSS_GROUPS, 1.0 / ACROSS_GROUPS), axis=2,
-                         mode="nearest")
+    misfit = correlate1d(
+        _misfit(depth, level, candidates, lit), np.full(ACROSS_GROUPS, 1.0 / ACROSS_GROUPS), axis=2, mode="nearest"
+    )
     misfit = correlate1d(misfit, ALONG_FRAMES, axis=1, mode="nearest")
     misfit[far] = np.inf
     usual = median_filter(candidates[misfit.argmin(axis=0)], size=(5, 9), mode="nearest")
@@ -247,8 +256,8 @@ def _fall(depth: np.ndarray, level: np.ndarray) -> np.ndarray:
 
 
 def _light(depth: np.ndarray, level: np.ndarray, usual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fade of the stroma and foot of the anterior line [groups], from the mean of the frames in which a group's edge lies
-    at its median depth or deeper; usual [frames, groups]: about where."""
+    """Fade of the stroma and foot of the anterior line [groups], from the mean of the frames in which a group's edge
+    lies at its median depth or deeper; usual [frames, groups]: about where."""
     thick = usual >= np.median(usual, axis=0)
     mean = (np.where(thick[:, None], level, 0.0).sum(axis=0) / thick.sum(axis=0))[None]
     candidates = np.arange(*POSTERIOR_BAND_PX, 0.2 * POSTERIOR_STEP_PX)
@@ -262,14 +271,18 @@ def _light(depth: np.ndarray, level: np.ndarray, usual: np.ndarray) -> tuple[np.
         _, end, slope, line = np.linalg.lstsq(_free(depth[here], at), mean[0, here, group], rcond=None)[0]
         top = max(end - slope * at, 1e-6)
         fade[group], foot[group] = -slope * at / top, line / top
-    return tuple(median_filter(np.clip(share, 0.0, most), 9, mode="nearest")
-                 for share, most in ((fade, FADE_MAX), (foot, FOOT_MAX)))
+    return tuple(
+        median_filter(np.clip(share, 0.0, most), 9, mode="nearest")
+        for share, most in ((fade, FADE_MAX), (foot, FOOT_MAX))
+    )
 
 
 def _terms(depth: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
     """The step at the posterior edge and the anterior line over the depth."""
-    return (0.5 * (1.0 - erf((depth - edge) / (np.sqrt(2.0) * POSTERIOR_SIGMA_PX))),
-            np.exp(-0.5 * ((depth - LINE_AT_PX) / LINE_SIGMA_PX) ** 2))
+    return (
+        0.5 * (1.0 - erf((depth - edge) / (np.sqrt(2.0) * POSTERIOR_SIGMA_PX))),
+        np.exp(-0.5 * ((depth - LINE_AT_PX) / LINE_SIGMA_PX) ** 2),
+    )
 
 
 def _free(depth: np.ndarray, edge: float) -> np.ndarray:
@@ -279,8 +292,8 @@ def _free(depth: np.ndarray, edge: float) -> np.ndarray:
 
 
 def _misfit(depth: np.ndarray, level: np.ndarray, candidates: np.ndarray, basis) -> np.ndarray:
-    """Mean square that basis(depth, edge) leaves of the levels, [candidates, frames, groups]; the basis is [k, terms] for
-    all groups or [groups, k, terms]."""
+    """Mean square that basis(depth, edge) leaves of the levels, [candidates, frames, groups]; the basis is [k, terms]
+    for all groups or [groups, k, terms]."""
     misfit = np.empty((len(candidates), level.shape[0], level.shape[2]))
     for index, edge in enumerate(candidates):
         here = slice(0, int(np.searchsorted(depth, edge + CHAMBER_PX)))
@@ -296,5 +309,7 @@ def _least(misfit: np.ndarray, candidates: np.ndarray) -> np.ndarray:
     below, here, above = (np.take_along_axis(misfit, (best + k)[None], axis=0)[0] for k in (-1, 0, 1))
     inside = np.isfinite(below) & np.isfinite(above)
     bend = np.where(inside, below - 2.0 * here + above, np.inf)
-    shift = np.where(inside & (bend > 0), 0.5 * (np.where(inside, below, 0.0) - np.where(inside, above, 0.0)) / bend, 0.0)
+    shift = np.where(
+        inside & (bend > 0), 0.5 * (np.where(inside, below, 0.0) - np.where(inside, above, 0.0)) / bend, 0.0
+    )
     return np.where(inside, candidates[best] + (candidates[1] - candidates[0]) * np.clip(shift, -1, 1), np.nan)

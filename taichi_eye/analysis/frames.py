@@ -18,7 +18,7 @@ from taichi_eye.scene import load_scene
 from taichi_eye.units import MMHG
 
 IMAGES = ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"
-FIELD_PX = 576, 200          # columns, rows of the instrument's frame
+FIELD_PX = 576, 200  # columns, rows of the instrument's frame
 FRAMES_MAX, PIXELS_MAX = 2000, 4_000_000
 FRAMES_MIN = 8
 _MS = re.compile(r"(\d+(?:\.\d+)?)\s*ms", re.IGNORECASE)
@@ -70,8 +70,11 @@ def read_film(path: str | Path, **settings: float | None) -> Film:
     if columns != FIELD_PX[0] and "pixel_x_mm" not in given and "pixel_y_mm" not in given:
         # a copy of another size shows the same field
         scale = FIELD_PX[0] / columns
-        instrument = replace(instrument, pixel_x_mm=instrument.pixel_x_mm * scale,
-                             pixel_y_mm=instrument.pixel_y_mm * FIELD_PX[1] / frames.shape[1])
+        instrument = replace(
+            instrument,
+            pixel_x_mm=instrument.pixel_x_mm * scale,
+            pixel_y_mm=instrument.pixel_y_mm * FIELD_PX[1] / frames.shape[1],
+        )
     return Film(frames, times, how, instrument, path.stem)
 
 
@@ -80,8 +83,12 @@ def _read_run(path: Path, given: dict) -> Film:
     camera = scene.camera
     if camera.view == "particles":
         raise FilmError(f"{path}: this run filmed the particles only (camera.view); it has no slit frames")
-    instrument = replace(Instrument(camera.pixel_x_mm, camera.pixel_y_mm, camera.frame_interval_ms, camera.angle_deg,
-                                    camera.refractive_index), **given)
+    instrument = replace(
+        Instrument(
+            camera.pixel_x_mm, camera.pixel_y_mm, camera.frame_interval_ms, camera.angle_deg, camera.refractive_index
+        ),
+        **given,
+    )
     pictures = path / "frames"
     if pictures.is_dir():
         stack = _read_images(pictures, sorted((f for f in pictures.iterdir() if f.suffix == ".png"), key=_natural))
@@ -90,7 +97,7 @@ def _read_run(path: Path, given: dict) -> Film:
     else:
         raise FilmError(f"{path}: the run has neither film.mp4 nor frames/")
     if camera.view == "both":
-        part = stack[:, :2 * camera.height_px, :2 * camera.width_px].astype(np.float32)
+        part = stack[:, : 2 * camera.height_px, : 2 * camera.width_px].astype(np.float32)
         part = part.reshape(len(part), camera.height_px, 2, camera.width_px, 2).mean(axis=(2, 4))
         stack = np.rint(part).astype(np.uint8)
     truth = puff = None
@@ -101,8 +108,7 @@ def _read_run(path: Path, given: dict) -> Film:
         traces = read_traces(path / "traces.csv")
         puff = traces["time_ms"], traces["puff_apex_kpa"] * 1e3 / MMHG
     time = np.arange(len(stack)) * instrument.frame_interval_ms
-    return Film(stack, time, "the scene's frame interval", instrument, path.name, truth, puff,
-                scene.eye.iop_mmhg)
+    return Film(stack, time, "the scene's frame interval", instrument, path.name, truth, puff, scene.eye.iop_mmhg)
 
 
 def _read_video(path: Path) -> np.ndarray:
@@ -139,8 +145,10 @@ def _read_images(path: Path, files: list[Path]) -> np.ndarray:
         except (OSError, UnidentifiedImageError, Image.DecompressionBombError):
             raise FilmError(f"{file}: not an image that can be read") from None
         if frames[-1].shape != frames[0].shape:
-            raise FilmError(f"{file}: {frames[-1].shape[1]} x {frames[-1].shape[0]} px, the first image has "
-                            f"{frames[0].shape[1]} x {frames[0].shape[0]}")
+            raise FilmError(
+                f"{file}: {frames[-1].shape[1]} x {frames[-1].shape[0]} px, the first image has "
+                f"{frames[0].shape[1]} x {frames[0].shape[0]}"
+            )
     return np.stack(frames)
 
 
@@ -156,8 +164,10 @@ def _fitting(frames: np.ndarray, given: dict, path: Path) -> np.ndarray:
         raise FilmError(f"{path}: frames of {columns} x {rows} px are too small")
     alike = abs(columns * FIELD_PX[1] / (rows * FIELD_PX[0]) - 1.0) < 0.03
     if not alike and not {"pixel_x_mm", "pixel_y_mm"} <= given.keys():
-        raise FilmError(f"{path}: frames of {columns} x {rows} px do not have the shape of the instrument's "
-                        f"{FIELD_PX[0]} x {FIELD_PX[1]}; say how large a pixel is (--pixel-x-mm and --pixel-y-mm)")
+        raise FilmError(
+            f"{path}: frames of {columns} x {rows} px do not have the shape of the instrument's "
+            f"{FIELD_PX[0]} x {FIELD_PX[1]}; say how large a pixel is (--pixel-x-mm and --pixel-y-mm)"
+        )
     return frames
 
 

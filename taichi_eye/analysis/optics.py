@@ -10,16 +10,22 @@ be that of revolution which each side of the section generates.
 
 from __future__ import annotations
 
-from math import radians, tan, sin, cos
+from math import cos, radians, sin, tan
 
 import numpy as np
 
 ITERATIONS = 25
-FOOT_WITHIN_MM = 1.5      # a posterior point's foot on the anterior surface is looked for so far to either side
+FOOT_WITHIN_MM = 1.5  # a posterior point's foot on the anterior surface is looked for so far to either side
 
 
-def thickness(x_mm: np.ndarray, anterior_mm: np.ndarray, at_mm: np.ndarray, apparent_mm: np.ndarray,
-              angle_deg: float, refractive_index: float) -> np.ndarray:
+def thickness(
+    x_mm: np.ndarray,
+    anterior_mm: np.ndarray,
+    at_mm: np.ndarray,
+    apparent_mm: np.ndarray,
+    angle_deg: float,
+    refractive_index: float,
+) -> np.ndarray:
     """Thickness along the normal [mm] at `at_mm` [groups] in each frame, shape [frames, groups].
 
     x_mm [columns], even steps, 0 on the axis; anterior_mm [frames, columns] and apparent_mm [frames, groups] are
@@ -35,7 +41,7 @@ def thickness(x_mm: np.ndarray, anterior_mm: np.ndarray, at_mm: np.ndarray, appa
         y = np.maximum((_sample(x_mm, anterior_mm, side * np.hypot(at_mm, y)) - apparent_mm) / cotangent, 0.0)
     rho = np.hypot(at_mm, y)
     z, slope = (_sample(x_mm, table, side * rho) for table in (anterior_mm, slope_mm))
-    slope = side * slope                       # outwards
+    slope = side * slope  # outwards
     nz = 1.0 / np.hypot(1.0, slope)
     nx, ny = (-slope * nz * part / np.maximum(rho, 1e-9) for part in (at_mm, y))
     facing = ny * sine + nz * cosine
@@ -45,7 +51,7 @@ def thickness(x_mm: np.ndarray, anterior_mm: np.ndarray, at_mm: np.ndarray, appa
     px, pz = at_mm + run * tx, z + run * tz
     best = np.full(apparent_mm.shape, np.inf)
     for k, x in enumerate(x_mm):
-        gap = np.hypot(px - x, pz - anterior_mm[:, k:k + 1])
+        gap = np.hypot(px - x, pz - anterior_mm[:, k : k + 1])
         best = np.fmin(best, np.where(np.abs(at_mm - x) < FOOT_WITHIN_MM, gap, np.inf))
     return np.where(np.isfinite(px + pz) & np.isfinite(best), best, np.nan)
 

@@ -21,14 +21,24 @@ INK, BLUE, ORANGE, GREEN, GREY = "#22262b", "#14539a", "#c9641a", "#3d8b57", "#8
 FPS = 25
 
 
-def write_overlay(path: Path, frames: np.ndarray, time_ms: np.ndarray, edges: Edges, curves: Curves, history: Histories,
-                  response: Response) -> None:
+def write_overlay(
+    path: Path,
+    frames: np.ndarray,
+    time_ms: np.ndarray,
+    edges: Edges,
+    curves: Curves,
+    history: Histories,
+    response: Response,
+) -> None:
     """The film at twice its size and brightened, with both edges, the axis, the time and the phase of the test."""
     atlas = GlyphAtlas(13)
-    rows, columns = SCALE * frames.shape[1], SCALE * frames.shape[2]
+    columns = SCALE * frames.shape[2]
     at = np.arange(columns) / SCALE - 0.25
-    events = [(response.a1_time_ms, "first applanation"), (response.hc_time_ms, "highest concavity"),
-              (response.a2_time_ms, "second applanation")]
+    events = [
+        (response.a1_time_ms, "first applanation"),
+        (response.hc_time_ms, "highest concavity"),
+        (response.a2_time_ms, "second applanation"),
+    ]
     step = float(np.median(np.diff(time_ms))) if len(time_ms) > 1 else 0.2315
     with FilmWriter(path, FPS) as film:
         for k, frame in enumerate(frames):
@@ -38,12 +48,18 @@ def write_overlay(path: Path, frames: np.ndarray, time_ms: np.ndarray, edges: Ed
             if 0 <= axis < columns:
                 image[::12, axis] = AXIS
                 image[1::12, axis] = AXIS
-            for place, row, colour in ((np.arange(frames.shape[2]), edges.anterior[k], ANTERIOR),
-                                       (edges.posterior_column, edges.posterior[k], POSTERIOR)):
+            for place, row, colour in (
+                (np.arange(frames.shape[2]), edges.anterior[k], ANTERIOR),
+                (edges.posterior_column, edges.posterior[k], POSTERIOR),
+            ):
                 _draw(image, at, np.interp(at, place, row, left=np.nan, right=np.nan), colour)
             same = np.flatnonzero(np.abs(history.time_ms - time_ms[k]) < 1e-9)
-            apex = f"apex {history.apex_mm[same[0]]:.3f} mm" if len(same) and np.isfinite(history.apex_mm[same[0]]) else ""
-            phase = next((text for when, text in events if when is not None and abs(when - time_ms[k]) <= 0.51 * step), "")
+            apex = (
+                f"apex {history.apex_mm[same[0]]:.3f} mm" if len(same) and np.isfinite(history.apex_mm[same[0]]) else ""
+            )
+            phase = next(
+                (text for when, text in events if when is not None and abs(when - time_ms[k]) <= 0.51 * step), ""
+            )
             for number, text in enumerate((f"{time_ms[k]:.2f} ms", apex, phase)):
                 if text:
                     stamp(image, atlas.mask(text), 8 + 18 * number, 10, (235, 235, 235))
@@ -63,14 +79,19 @@ def _draw(image: np.ndarray, at: np.ndarray, row: np.ndarray, colour: tuple[int,
         image[r[inside], good[inside]] = np.rint(mixed).astype(np.uint8)
 
 
-def plot_page(path: Path, name: str, curves: Curves, history: Histories, response: Response,
-              truth: Histories | None = None) -> None:
-    """Deformation and deflection, velocity, curvature, thickness, curves at the events, and the deflection map, as a PNG."""
+def plot_page(
+    path: Path, name: str, curves: Curves, history: Histories, response: Response, truth: Histories | None = None
+) -> None:
+    """Deformation and deflection, velocity, curvature, thickness, curves at the events, and the deflection map, as a
+    PNG."""
     figure = Figure(figsize=(12.5, 10.5), dpi=110, layout="constrained")
     axes = figure.subplots(3, 2)
     time = history.time_ms
-    events = [(text, when) for text, when in (("A1", response.a1_time_ms), ("HC", response.hc_time_ms),
-                                              ("A2", response.a2_time_ms)) if when is not None]
+    events = [
+        (text, when)
+        for text, when in (("A1", response.a1_time_ms), ("HC", response.hc_time_ms), ("A2", response.a2_time_ms))
+        if when is not None
+    ]
     top = axes[0, 0]
     top.plot(time, history.apex_mm, color=BLUE, linewidth=1.8, label="apex deformation")
     top.plot(time, history.apex_mm - history.whole_eye_mm, color=ORANGE, linewidth=1.4, label="apex deflection")
@@ -104,13 +125,28 @@ def plot_page(path: Path, name: str, curves: Curves, history: Histories, respons
         axis.set_xlabel("time (ms)")
         for text, when in events:
             axis.axvline(when, color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
-            axis.annotate(text, (when, 1.0), (3, -2), xycoords=("data", "axes fraction"), textcoords="offset points",
-                          va="top", fontsize=8, color=GREY)
+            axis.annotate(
+                text,
+                (when, 1.0),
+                (3, -2),
+                xycoords=("data", "axes fraction"),
+                textcoords="offset points",
+                va="top",
+                fontsize=8,
+                color=GREY,
+            )
 
     shape = axes[2, 0]
-    for text, when, colour in [("rest", time[0], GREY)] + [(t, w, c) for (t, w), c in zip(events, (ORANGE, BLUE, GREEN))]:
-        shape.plot(history.x_mm, history.height_mm[np.argmin(np.abs(time - when))], color=colour, linewidth=1.4,
-                   label=f"{text}, {when:.2f} ms")
+    for text, when, colour in [("rest", time[0], GREY)] + [
+        (t, w, c) for (t, w), c in zip(events, (ORANGE, BLUE, GREEN))
+    ]:
+        shape.plot(
+            history.x_mm,
+            history.height_mm[np.argmin(np.abs(time - when))],
+            color=colour,
+            linewidth=1.4,
+            label=f"{text}, {when:.2f} ms",
+        )
     shape.set_aspect("equal")
     shape.set_xlabel("x (mm)")
     shape.set_ylabel("height (mm)")
@@ -118,15 +154,25 @@ def plot_page(path: Path, name: str, curves: Curves, history: Histories, respons
 
     map_ = axes[2, 1]
     limit = max(float(np.nanmax(np.abs(history.deflection_mm))), 1e-3)
-    mesh = map_.pcolormesh(time, history.x_mm, history.deflection_mm.T, cmap="RdBu_r", vmin=-limit, vmax=limit,
-                           shading="nearest", rasterized=True)
+    mesh = map_.pcolormesh(
+        time,
+        history.x_mm,
+        history.deflection_mm.T,
+        cmap="RdBu_r",
+        vmin=-limit,
+        vmax=limit,
+        shading="nearest",
+        rasterized=True,
+    )
     map_.set_xlabel("time (ms)")
     map_.set_ylabel("x (mm)")
     figure.colorbar(mesh, ax=map_, label="deflection (mm)")
     for axis in (top, speed, bend, thick, shape):
         axis.spines[["top", "right"]].set_visible(False)
     da = response.deformation_amplitude_mm
-    figure.suptitle(f"{name}" + (f": deformation amplitude {da:.3f} mm" if da is not None else ": no deformation found"),
-                    fontsize=12)
+    figure.suptitle(
+        f"{name}" + (f": deformation amplitude {da:.3f} mm" if da is not None else ": no deformation found"),
+        fontsize=12,
+    )
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png", facecolor="white")

@@ -12,8 +12,8 @@ HC               the largest apex deformation. Radius: one over the concave curv
                  two highest points of the curve.
 DA ratio         apex deformation over the mean deformation at +-1 or +-2 mm; the largest value from A1 to HC.
 inverse radius   concave curvature: its largest value, and its sum over the camera's frames from A1 to A2.
-deflection area  between the curve at rest and the deflected one, central 7 mm; delta arc length: change in length of the
-                 curve over the same zone.
+deflection area  between the curve at rest and the deflected one, central 7 mm; delta arc length: change in length of
+                 the curve over the same zone.
 SP-A1            (air pressure at A1 less bIOP) over the deflection amplitude at A1.
 
 Single values are read off moving polynomials in time, which frames may be missing from.
@@ -28,15 +28,15 @@ import numpy as np
 from taichi_eye.analysis.curves import REST_MS, Curves, smooth
 from taichi_eye.eye.puff import CORVIS_FALL, CORVIS_PEAK_S, CORVIS_RISE
 
-APEX_MM = 0.10               # half width of the mean that is the apex
-SIDE_MM = 3.6, 4.0           # where whole-eye movement is read
-CURVATURE_MM = 1.0           # half width of the circle
-RATIO_MM = 0.10              # half width of the mean at +-1 and +-2 mm
-ZONE_MM = 3.5                # half width of area and arc length
+APEX_MM = 0.10  # half width of the mean that is the apex
+SIDE_MM = 3.6, 4.0  # where whole-eye movement is read
+CURVATURE_MM = 1.0  # half width of the circle
+RATIO_MM = 0.10  # half width of the mean at +-1 and +-2 mm
+ZONE_MM = 3.5  # half width of area and arc length
 FLAT_MM = 0.010
-SPEED_MS, SHAPE_MS, TOP_MS = 0.8, 0.7, 1.6   # half widths of the moving polynomials
+SPEED_MS, SHAPE_MS, TOP_MS = 0.8, 0.7, 1.6  # half widths of the moving polynomials
 MOVED_MM = 0.05
-CORVIS_PEAK_MMHG = 96.4      # Oehring 2021, doi 10.3390/app11062499
+CORVIS_PEAK_MMHG = 96.4  # Oehring 2021, doi 10.3390/app11062499
 
 
 @dataclass(frozen=True)
@@ -110,12 +110,22 @@ def histories(curves: Curves) -> Histories:
     sides = np.stack([_band(deformation, x, side * middle, half) for side in (-1, 1)])
     whole = _nanmean(sides)
     curvature = np.array([circle_curvature(x, one) for one in height])
-    return Histories(time, x, height, deformation, deformation - whole[:, None], apex, whole, curvature,
-                     moving(time, apex, time, SPEED_MS, 2, 1))
+    return Histories(
+        time,
+        x,
+        height,
+        deformation,
+        deformation - whole[:, None],
+        apex,
+        whole,
+        curvature,
+        moving(time, apex, time, SPEED_MS, 2, 1),
+    )
 
 
-def respond(curves: Curves, frame_interval_ms: float = 0.2315, biop_mmhg: float | None = None,
-            puff_mmhg=measured_puff_mmhg) -> Response:
+def respond(
+    curves: Curves, frame_interval_ms: float = 0.2315, biop_mmhg: float | None = None, puff_mmhg=measured_puff_mmhg
+) -> Response:
     """DCR parameters of the curves.
 
     frame_interval_ms: of the camera, for the integrated inverse radius. biop_mmhg: pressure of the eye, and puff_mmhg:
@@ -155,10 +165,13 @@ def respond(curves: Curves, frame_interval_ms: float = 0.2315, biop_mmhg: float 
         if at is None:
             continue
         deflected = _curve_at(h, h.deflection_mm, at)
-        found |= {f"{name}_time_ms": at,
-                  f"{name}_velocity_m_s": float(moving(time, h.apex_mm, np.array([at]), SPEED_MS, 2, 1)[0]),
-                  f"{name}_length_mm": _flat_length(x, _curve_at(h, h.height_mm, at)),
-                  f"{name}_deflection_mm": float(_band(deflected[None], x, 0.0, APEX_MM)[0]), **_zone(h, at, name)}
+        found |= {
+            f"{name}_time_ms": at,
+            f"{name}_velocity_m_s": float(moving(time, h.apex_mm, np.array([at]), SPEED_MS, 2, 1)[0]),
+            f"{name}_length_mm": _flat_length(x, _curve_at(h, h.height_mm, at)),
+            f"{name}_deflection_mm": float(_band(deflected[None], x, 0.0, APEX_MM)[0]),
+            **_zone(h, at, name),
+        }
     if biop_mmhg is not None:
         found["biop_mmhg"] = biop_mmhg
         if found.get("a1_deflection_mm", 0.0) > 0.0:
@@ -171,8 +184,9 @@ def biop_surrogate_mmhg(iop_nct_mmhg: float, thickness_um: float, age_years: flo
     return 19.98 + 0.885 * iop_nct_mmhg - 0.0306 * thickness_um - 0.0438 * age_years
 
 
-def moving(time: np.ndarray, values: np.ndarray, at: np.ndarray, half_width: float, degree: int,
-           derivative: int = 0) -> np.ndarray:
+def moving(
+    time: np.ndarray, values: np.ndarray, at: np.ndarray, half_width: float, degree: int, derivative: int = 0
+) -> np.ndarray:
     """Moving least-squares polynomial with the weights (1 - u^2)^2, its value or a derivative at `at`.
 
     The window grows where frames are missing until it holds degree + 3 of them. values [frames]; NaN counts as missing.
@@ -211,8 +225,13 @@ def circle_curvature(x: np.ndarray, height: np.ndarray) -> float:
 
 
 def _response(found: dict[str, float | None]) -> Response:
-    return Response(**{f.name: float(found[f.name]) for f in fields(Response)
-                       if found.get(f.name) is not None and np.isfinite(found[f.name])})
+    return Response(
+        **{
+            f.name: float(found[f.name])
+            for f in fields(Response)
+            if found.get(f.name) is not None and np.isfinite(found[f.name])
+        }
+    )
 
 
 def _rest_thickness(curves: Curves) -> float:
@@ -277,8 +296,11 @@ def _ratio(h: Histories, mm: float, start: float, stop: float) -> float:
 def _zone(h: Histories, at: float, name: str) -> dict[str, float]:
     zone = np.abs(h.x_mm) <= ZONE_MM + 1e-9
     x = h.x_mm[zone]
-    area = np.trapezoid(_curve_at(h, h.deflection_mm, at)[zone], x) if hasattr(np, "trapezoid") else \
-        np.trapz(_curve_at(h, h.deflection_mm, at)[zone], x)
+    area = (
+        np.trapezoid(_curve_at(h, h.deflection_mm, at)[zone], x)
+        if hasattr(np, "trapezoid")
+        else np.trapz(_curve_at(h, h.deflection_mm, at)[zone], x)
+    )
     rest = _nanmean(h.height_mm[h.time_ms <= h.time_ms[0] + REST_MS])[zone]
     arc = [np.hypot(np.diff(x), np.diff(z)).sum() for z in (_curve_at(h, h.height_mm, at)[zone], rest)]
     return {f"{name}_deflection_area_mm2": area, f"{name}_delta_arc_length_mm": arc[0] - arc[1]}

@@ -17,15 +17,15 @@ from PIL import Image, ImageDraw, ImageFont
 from scipy.ndimage import find_objects, label
 
 FACES = "DejaVuSans", "DejaVuSans-Bold", "DejaVuSansMono", "DejaVuSansMono-Bold", "DejaVuSerif", "STIXGeneral"
-BRIGHT = 110              # grey level that a stamp exceeds
-TILE = 16, 12             # rows, columns that a digit is scaled to
-MATCH_MIN = 0.55          # correlation with the nearest digit
-READ_MIN = 0.5            # share of the frames that must be read
+BRIGHT = 110  # grey level that a stamp exceeds
+TILE = 16, 12  # rows, columns that a digit is scaled to
+MATCH_MIN = 0.55  # correlation with the nearest digit
+READ_MIN = 0.5  # share of the frames that must be read
 
 
 def read_stamps(frames: np.ndarray, frame_interval_ms: float) -> np.ndarray | None:
-    """Times [frames] in ms from the stamps in uint8 frames [frames, rows, columns], NaN where unknown; None where there are
-    no stamps.
+    """Times [frames] in ms from the stamps in uint8 frames [frames, rows, columns], NaN where unknown; None where there
+    are no stamps.
 
     frame_interval_ms: stamps are held to whole multiples of it.
     """
@@ -58,9 +58,16 @@ def _read(image: np.ndarray) -> float:
         for box in line:
             if last is not None and box[2] - last[3] > 1.5 * size:
                 break
-            between = [b for b in boxes if last is not None and last[3] - 1 <= b[2] and b[3] <= box[2] + 1
-                       and b[1] - b[0] <= 0.45 * size and b[0] >= anchor[0] + 0.55 * size]
-            digit, match = _digit(level[box[0]:box[1], box[2]:box[3]], size)
+            between = [
+                b
+                for b in boxes
+                if last is not None
+                and last[3] - 1 <= b[2]
+                and b[3] <= box[2] + 1
+                and b[1] - b[0] <= 0.45 * size
+                and b[0] >= anchor[0] + 0.55 * size
+            ]
+            digit, match = _digit(level[box[0] : box[1], box[2] : box[3]], size)
             if match < MATCH_MIN:
                 break
             text += ("." if between else "") + digit
@@ -98,7 +105,7 @@ def _templates() -> dict[str, list[np.ndarray]]:
                 ImageDraw.Draw(canvas).text((size, size), digit, fill=255, font=face)
                 bits = np.asarray(canvas, float)
                 rows, columns = (np.flatnonzero((bits > 127).any(axis=axis)) for axis in (1, 0))
-                tiles[digit].append(_tile(bits[rows[0]:rows[-1] + 1, columns[0]:columns[-1] + 1]))
+                tiles[digit].append(_tile(bits[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]))
     return tiles
 
 

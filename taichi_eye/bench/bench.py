@@ -1,10 +1,11 @@
 """`taichi-eye bench`: how fast, one table: each figure beside what is asked of it.
 
 A part is a module of this room with a function `measure(stage)`: `stage(text)` shows on the progress bar what is being
-measured; it returns rows and matplotlib figures. Its module's docstring says what is measured and how; the page shows it.
-Ratios are taken in one run, in turns, best of several (`taichi_eye.bench.timing`). What cannot be had (a GPU, a package) is
-one row that says so.
+measured; it returns rows and matplotlib figures. Its module's docstring says what is measured and how; the page shows
+it. Ratios are taken in one run, in turns, best of several (`taichi_eye.bench.timing`). What cannot be had (a GPU, a
+package) is one row that says so.
 """
+
 import json
 import os
 import platform
@@ -13,12 +14,12 @@ import time
 from pathlib import Path
 
 import numpy as np
-import taichi as ti
 from tqdm import tqdm
 
 from taichi_eye import backend
 from taichi_eye.bench import batch, default, gpu, growth, packing, peers, startup, step
 from taichi_eye.bench.rows import Row
+from taichi_eye.lang import NAME, ti
 from taichi_eye.report.folder import create_run_folder, write_text
 from taichi_eye.report.page import picture, plain, table, write_page
 
@@ -35,8 +36,14 @@ PARTS = {
 HEAD = ("quantity", "value", "asked", "", "sizes and settings")
 
 
-def report(only=(), out: str | None = None, json_file: str | None = None, say=lambda text: print(text, flush=True),
-           parts=None, command: str = "bench") -> bool:
+def report(
+    only=(),
+    out: str | None = None,
+    json_file: str | None = None,
+    say=lambda text: print(text, flush=True),
+    parts=None,
+    command: str = "bench",
+) -> bool:
     """Measure the parts named (all without names), print the table, write the page; whether all that is asked holds.
 
     out: folder of the page (default: a new one under renders/); json_file: the machine, and each part's rows. Both are
@@ -65,9 +72,11 @@ def report(only=(), out: str | None = None, json_file: str | None = None, say=la
                 tell(_line(_cells(row)))
             tell(f"  {name}: {time.perf_counter() - started:.0f} s")
             theory = sys.modules[measured[name].__module__].__doc__ or ""
-            shown += [f"<h2>{name}</h2><pre>{plain(theory)}</pre>",
-                      table(HEAD, [_cells(row) for row in rows], [i for i, row in enumerate(rows) if row.holds is False]),
-                      *map(picture, figures)]
+            shown += [
+                f"<h2>{name}</h2><pre>{plain(theory)}</pre>",
+                table(HEAD, [_cells(row) for row in rows], [i for i, row in enumerate(rows) if row.holds is False]),
+                *map(picture, figures),
+            ]
             write_page(folder / f"{command}.html", f"taichi-eye {command}", [f"<p>{plain(str(machine))}</p>", *shown])
             if json_file:
                 every = {part: [row.as_dict() for row in rows] for part, rows in found.items()}
@@ -75,8 +84,11 @@ def report(only=(), out: str | None = None, json_file: str | None = None, say=la
             bar.update()
     asked = [row.holds for rows in found.values() for row in rows if row.holds is not None]
     missing = sum(row.value is None for rows in found.values() for row in rows)
-    tell(f"{sum(asked)} of {len(asked)} rows hold" + (f", {missing} skipped" if missing else "")
-         + f"; {folder / f'{command}.html'}")
+    tell(
+        f"{sum(asked)} of {len(asked)} rows hold"
+        + (f", {missing} skipped" if missing else "")
+        + f"; {folder / f'{command}.html'}"
+    )
     return all(asked)
 
 
@@ -85,12 +97,19 @@ def describe_machine() -> dict:
     processor = platform.processor() or platform.machine()
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as info:
-            processor = next((line.split(":", 1)[1].strip() for line in info if line.startswith("model name")), processor)
+            processor = next(
+                (line.split(":", 1)[1].strip() for line in info if line.startswith("model name")), processor
+            )
     except OSError:
-        pass                       # not Linux: platform's own word stands
-    return {"processor": processor, "cores": os.cpu_count() or 1, "threads": backend.threads(),
-            "python": f"Python {platform.python_version()}", "taichi": f"Taichi {'.'.join(map(str, ti.__version__))}",
-            "numpy": f"NumPy {np.__version__}"}
+        pass  # not Linux: platform's own word stands
+    return {
+        "processor": processor,
+        "cores": os.cpu_count() or 1,
+        "threads": backend.threads(),
+        "python": f"Python {platform.python_version()}",
+        "language": f"{NAME} {'.'.join(map(str, ti.__version__))}",
+        "numpy": f"NumPy {np.__version__}",
+    }
 
 
 def _cells(row: Row):

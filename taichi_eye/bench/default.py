@@ -4,6 +4,7 @@ Time of `Simulation.run` over the scene's 32 ms with the cloud packed and the ke
 apex peak against 0.959 mm, where two independent methods agree (incompressible potential flow). What is cheapest for a
 given error is a soft liquid whose mean pressure is stiff (`taichi_eye.solver.aqueous`, two sound speeds).
 """
+
 from taichi_eye import backend
 from taichi_eye.bench.rows import at_most, figure
 from taichi_eye.bench.timing import best_of
@@ -21,8 +22,10 @@ def measure(stage, settings=SETTINGS, asked=ASKED):
     rows = []
     for setting in settings:
         h, c, c_mean = setting
-        scene = load_scene(None, [f"numerics.spacing_mm={h}", f"numerics.sound_speed_m_s={c}",
-                                  f"numerics.mean_sound_speed_m_s={c_mean}"])
+        scene = load_scene(
+            None,
+            [f"numerics.spacing_mm={h}", f"numerics.sound_speed_m_s={c}", f"numerics.mean_sound_speed_m_s={c_mean}"],
+        )
         cloud = cloud_of(scene)
         found = {}
 
@@ -38,9 +41,13 @@ def measure(stage, settings=SETTINGS, asked=ASKED):
         error = 100.0 * abs(found["peak"] / PEAK_MM - 1.0)
         note = f"{cloud.count} nodes, {found['steps']} steps, {backend.threads()} threads"
         if setting == asked:
-            rows += [at_most(f"default eye, {name}: solver time", took, "s", SECONDS, note + "; 1 s aimed at"),
-                     at_most(f"default eye, {name}: apex error", error, "%", ERROR)]
+            rows += [
+                at_most(f"default eye, {name}: solver time", took, "s", SECONDS, note + "; 1 s aimed at"),
+                at_most(f"default eye, {name}: apex error", error, "%", ERROR),
+            ]
         else:
-            rows += [figure(f"default eye, {name}: solver time", took, "s", note),
-                     figure(f"default eye, {name}: apex error", error, "%")]
+            rows += [
+                figure(f"default eye, {name}: solver time", took, "s", note),
+                figure(f"default eye, {name}: apex error", error, "%"),
+            ]
     return rows, []

@@ -3,11 +3,11 @@
 One backend at a time holds Taichi's fields, so the two run one after the other and not in turns. Both take the same
 steps of the default eye from rest under the puff's peak; the apex must end in the same place.
 """
-import taichi as ti
 
 from taichi_eye import backend
 from taichi_eye.bench.rows import at_most, figure, skipped
 from taichi_eye.bench.timing import best_of
+from taichi_eye.lang import ti
 from taichi_eye.scene import load_scene
 from taichi_eye.solver.simulation import Simulation, cloud_of
 from taichi_eye.solver.timestep import stable_step
@@ -18,7 +18,8 @@ STEPS = 100  # in one timed call
 
 
 def measure(stage, spacings_mm=SPACINGS_MM):
-    """Time per coupled step on both backends, their ratio and the difference between their answers, over the spacings."""
+    """Time per coupled step on both backends, their ratio and the difference between their answers, over the
+    spacings."""
     threads = backend.threads()
     try:
         backend.init("cuda", "f64")

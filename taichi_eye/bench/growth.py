@@ -4,7 +4,7 @@ A step is timed under a rising puff, as in the part `step`, on all threads. Memo
 a simulation has stepped than before it was made, fields, cloud and stencils; fields are made for a power of two of
 nodes, of which only what is written takes memory. A whole run takes nodes (h^-2) times steps (h^-1).
 """
-import math
+
 import os
 
 import numpy as np
@@ -36,9 +36,15 @@ def measure(stage, spacings_mm=SPACINGS_MM, run_mm=RUN_MM):
         times.append(best_of({"step": advance}, TURNS)["step"] / STEPS)
         held.append(_memory() - before)
         nodes.append(cloud.count)
-        rows.append(figure(f"coupled step at {cloud.count} nodes", 1e3 * times[-1], "ms",
-                           f"{cloud.count / times[-1] / 1e6:.1f} M node-updates/s on {threads} threads, "
-                           f"{held[-1] / 2**20:.0f} MB, {held[-1] / cloud.count:.0f} bytes a node"))
+        rows.append(
+            figure(
+                f"coupled step at {cloud.count} nodes",
+                1e3 * times[-1],
+                "ms",
+                f"{cloud.count / times[-1] / 1e6:.1f} M node-updates/s on {threads} threads, "
+                f"{held[-1] / 2**20:.0f} MB, {held[-1] / cloud.count:.0f} bytes a node",
+            )
+        )
     span = f"{nodes[0]} to {nodes[-1]} nodes"
     rows.append(at_most("time of a step grows with the nodes to the power", _slope(nodes, times), "", EXPONENT, span))
     rows.append(at_most("memory grows with the nodes to the power", _slope(nodes, held), "", EXPONENT, span))
@@ -51,9 +57,19 @@ def measure(stage, spacings_mm=SPACINGS_MM, run_mm=RUN_MM):
         Simulation(scene, cloud).run()
         took.append(best_of({"run": lambda: Simulation(scene, cloud).run()}, 3)["run"])
     backend.init("cpu", "f64", threads)
-    rows.append(at_most("time of a run grows with 1/h to the power", -_slope(run_mm, took), "", RUN_EXPONENT,
-                        "4 ms on one thread at h " + ", ".join(f"{h:g}" for h in run_mm) + " mm: "
-                        + ", ".join(f"{seconds:.2f}" for seconds in took) + " s"))
+    rows.append(
+        at_most(
+            "time of a run grows with 1/h to the power",
+            -_slope(run_mm, took),
+            "",
+            RUN_EXPONENT,
+            "4 ms on one thread at h "
+            + ", ".join(f"{h:g}" for h in run_mm)
+            + " mm: "
+            + ", ".join(f"{seconds:.2f}" for seconds in took)
+            + " s",
+        )
+    )
     return rows, []
 
 

@@ -1,4 +1,5 @@
 """Packing the default eye's node cloud, boundary to triangles, and how its time grows with the nodes."""
+
 import math
 
 from taichi_eye.bench.rows import at_most, figure
@@ -25,9 +26,19 @@ def measure(stage, spacings_mm=SPACINGS_MM):
         found = quality(packed[0])
         nodes.append(found.nodes)
         times.append(took)
-        rows.append(figure(f"packing {found.nodes} nodes", took, "s", f"spacing {spacing:g} mm, smallest gap "
-                           f"{found.smallest_gap:.2f}, largest hole {found.largest_hole:.2f} spacings"))
+        rows.append(
+            figure(
+                f"packing {found.nodes} nodes",
+                took,
+                "s",
+                f"spacing {spacing:g} mm, smallest gap "
+                f"{found.smallest_gap:.2f}, largest hole {found.largest_hole:.2f} spacings",
+            )
+        )
     exponent = math.log(times[-1] / times[0]) / math.log(nodes[-1] / nodes[0])
-    rows.append(at_most("packing time grows with the nodes to the power", exponent, "", EXPONENT,
-                        f"{nodes[0]} to {nodes[-1]} nodes"))
+    rows.append(
+        at_most(
+            "packing time grows with the nodes to the power", exponent, "", EXPONENT, f"{nodes[0]} to {nodes[-1]} nodes"
+        )
+    )
     return rows, []

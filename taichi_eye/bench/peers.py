@@ -1,28 +1,35 @@
 """This solver's liquid beside PySPH's weakly compressible schemes: same machine, same run, same flows, in turns.
 
-PySPH (Ramachandran et al., ACM Trans. Math. Softw. 47:4, 2021) is installed by pip into an environment of its own in the
-user's cache folder and runs its own Taylor-Green example (`taichi_eye.bench.pysph_cases`): Re 100, c = 10 U, unit periodic
-box, the example's kernel and time step, with OpenMP on one thread and on all that the bench has, in turns: the quicker
-counts. Entered are EDAC, the best of its schemes here, on the lattice and on a lattice perturbed by 0.2 dx as its authors
-do, and the example's default, TVF, perturbed. At n = 50 to t = 1: EDAC 5 %, perturbed 1.3 %; TVF 45 %, perturbed 9 %;
+PySPH (Ramachandran et al., ACM Trans. Math. Softw. 47:4, 2021) is installed by pip into an environment of its own in
+the user's cache folder and runs its own Taylor-Green example (`taichi_eye.bench.pysph_cases`): Re 100, c = 10 U, unit
+periodic box, the example's kernel and time step, with OpenMP on one thread and on all that the bench has, in turns: the
+quicker
+counts. Entered are EDAC, the best of its schemes here, on the lattice and on a lattice perturbed by 0.2 dx as its
+authors do, and the example's default, TVF, perturbed. At n = 50 to t = 1: EDAC 5 %, perturbed 1.3 %; TVF 45 %,
+perturbed 9 %;
 GTVF 26 %; WCSPH 90 %. A scheme that is nearer on a coarser lattice keeps that point.
 
-Here: the solver's own fluid kernels (`taichi_eye.proof.flow`) with the default dissipation of 0.5, f64, on the same whole
-box, all four vortices, one thread. Nodes rest, as they do in the eye where the wall rests; PySPH's particles are carried
-along. Both have the exact velocity as their measure: L2 error at t = 1, at their own nodes. Compilation and set-up count
-for neither. Time at equal error: between runs by log-log interpolation, from the quickest run or scheme at that error.
+Here: the solver's own fluid kernels (`taichi_eye.proof.flow`) with the default dissipation of 0.5, f64, on the same
+whole box, all four vortices, one thread. Nodes rest, as they do in the eye where the wall rests; PySPH's particles are
+carried along. Both have the exact velocity as their measure: L2 error at t = 1, at their own nodes. Compilation and
+set-up
+count for neither. Time at equal error: between runs by log-log interpolation, from the quickest run or scheme at that
+error.
 
-Sound in a closed box: u = A sin(2 pi x) over two periods, inviscid; the walls are planes of symmetry of the periodic box.
-Entered are WCSPH and TVF, whose lattice never moves there.
+Sound in a closed box: u = A sin(2 pi x) over two periods, inviscid; the walls are planes of symmetry of the periodic
+box. Entered are WCSPH and TVF, whose lattice never moves there.
 
-Both on one thread, times here over PySPH's at equal error: Taylor-Green at 10 / 5 / 2 % 20 / 26 / 41 times less, sound at 2 /
-0.5 / 0.2 % 66 / 37 / 26 times less; 3 M updates/s against 0.06 and 0.12. Node for node PySPH is the nearer of the two on
-the vortices (625 nodes for 2.4 %, here some 2800), whose error here is the dissipation's, third order in h: it is the
+Both on one thread, times here over PySPH's at equal error: Taylor-Green at 10 / 5 / 2 % 20 / 26 / 41 times less, sound
+at 2 / 0.5 / 0.2 % 66 / 37 / 26 times less; 3 M updates/s against 0.06 and 0.12. Node for node PySPH is the nearer of
+the two
+on the vortices (625 nodes for 2.4 %, here some 2800), whose error here is the dissipation's, third order in h: it is
+the
 price of stability between walls, and with 0.1 instead of 0.5 it would be a seventh.
 
-Not entered: jax-sph (pip found no distribution of it when tried) and Warp, which has kernels and a neighbour grid but no
-solver of such flows: it would be a solver of this project.
+Not entered: jax-sph (pip found no distribution of it when tried) and Warp, which has kernels and a neighbour grid but
+no solver of such flows: it would be a solver of this project.
 """
+
 import json
 import math
 import os
@@ -66,8 +73,9 @@ def measure(stage):
     rows, figures = [], []
     flow_of = _Box(SPACINGS)
     for case, title, schemes, levels, asked in (
-            ("taylor-green", "Taylor-Green, Re 100", SCHEMES, LEVELS, ASKED),
-            ("standing-wave", "sound in a closed box", WAVE_SCHEMES, WAVE_LEVELS, None)):
+        ("taylor-green", "Taylor-Green, Re 100", SCHEMES, LEVELS, ASKED),
+        ("standing-wave", "sound in a closed box", WAVE_SCHEMES, WAVE_LEVELS, None),
+    ):
         ours: dict[float, Run] = {}
         theirs: dict[tuple, Run] = {}
         for threads in threads_in_turn():
@@ -81,8 +89,9 @@ def measure(stage):
         mine = [list(ours.values())]
         peers = [[theirs[name, nx] for nx in LATTICES] for name in schemes]
         rows += compare(title, mine, peers, levels, asked)
-        figures.append(plot(title, {"taichi_eye": mine[0],
-                                    **{f"PySPH {name}": runs for name, runs in zip(schemes, peers)}}))
+        figures.append(
+            plot(title, {"taichi_eye": mine[0], **{f"PySPH {name}": runs for name, runs in zip(schemes, peers)}})
+        )
     rows.append(skipped("jax-sph, Warp", "no distribution found by pip; no solver of such flows"))
     return rows, figures
 
@@ -114,8 +123,11 @@ def environment(stage) -> str:
     try:
         if not python.exists() or subprocess.run(ready, capture_output=True, timeout=PATIENCE_S).returncode:
             stage(f"installing {PACKAGE} in {cache}")
-            for command in ((sys.executable, "-m", "venv", str(cache)),
-                            (str(python), "-m", "pip", "install", PACKAGE), ready):
+            for command in (
+                (sys.executable, "-m", "venv", str(cache)),
+                (str(python), "-m", "pip", "install", PACKAGE),
+                ready,
+            ):
                 done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
                 if done.returncode:
                     last = (done.stderr.strip() or "no message").splitlines()[-1]
@@ -128,8 +140,13 @@ def environment(stage) -> str:
 def run_pysph(python: str, case: str, scheme: str, nx: int, perturb: float, threads: int) -> Run:
     """One run of PySPH in its environment."""
     script = Path(__file__).with_name("pysph_cases.py")
-    done = subprocess.run([python, str(script), case, scheme, str(nx), str(perturb)], capture_output=True, text=True,
-                          timeout=PATIENCE_S, env=os.environ | {"OMP_NUM_THREADS": str(threads)})
+    done = subprocess.run(
+        [python, str(script), case, scheme, str(nx), str(perturb)],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        env=os.environ | {"OMP_NUM_THREADS": str(threads)},
+    )
     if done.returncode:
         raise RuntimeError(f"PySPH {scheme} at {nx} x {nx} failed:\n{done.stderr[-2000:]}")
     return Run(json.loads(done.stdout.splitlines()[-1]))
@@ -162,7 +179,7 @@ class _Box:
             before = after = 1e-3 * late * np.column_stack([np.sin(x), np.zeros_like(x)])
             pressure = np.zeros_like(x)
         flow.setup(cloud, images, density=1.0, viscosity=nu, sound_speed=SOUND_SPEED, dissipation=DISSIPATION)
-        flow.advance(0, dt, 0.0, 0.0, 0.0)       # compiles
+        flow.advance(0, dt, 0.0, 0.0, 0.0)  # compiles
         flow.set(before, pressure)
         took = best_of({"run": lambda: flow.advance(steps, dt, 0.0, 0.0, 0.0)}, 1)["run"]
         error = np.linalg.norm(flow.velocity() - after) / np.linalg.norm(after)
@@ -170,7 +187,8 @@ class _Box:
 
 
 def time_at(error: float, series) -> float:
-    """Shortest time [s] at which one of several series of runs, each in order of size, has the error; inf where none has.
+    """Shortest time [s] at which one of several series of runs, each in order of size, has the error; inf where none
+    has.
 
     Between neighbours of a series that lie on both sides of the error: log-log; a run below it counts as it is.
     """
@@ -199,8 +217,11 @@ def compare(title, mine, peers, levels, asked):
             rows.append(skipped(name, f"{who} does not reach it at the resolutions run"))
         else:
             note = f"{here:.3g} s against {there:.3g} s"
-            rows.append(at_least(name, there / here, "times", asked, note) if asked else
-                        figure(name, there / here, "times", note))
+            rows.append(
+                at_least(name, there / here, "times", asked, note)
+                if asked
+                else figure(name, there / here, "times", note)
+            )
     return rows
 
 
@@ -209,11 +230,24 @@ def plot(title, series) -> Figure:
     canvas = Figure(figsize=(6.4, 4.3), dpi=110, layout="constrained")
     axes = canvas.subplots()
     for (name, runs), colour in zip(series.items(), COLOURS):
-        axes.loglog([run["error"] for run in runs], [run["seconds"] for run in runs], "o-", color=colour, label=name,
-                    markersize=4, linewidth=1.5)
+        axes.loglog(
+            [run["error"] for run in runs],
+            [run["seconds"] for run in runs],
+            "o-",
+            color=colour,
+            label=name,
+            markersize=4,
+            linewidth=1.5,
+        )
         for run in runs:
-            axes.annotate(str(run["nodes"]), (run["error"], run["seconds"]), (4, 4), textcoords="offset points",
-                          fontsize=7, color=colour)
+            axes.annotate(
+                str(run["nodes"]),
+                (run["error"], run["seconds"]),
+                (4, 4),
+                textcoords="offset points",
+                fontsize=7,
+                color=colour,
+            )
     axes.set(title=f"{title}: time to an error (numbers: nodes)", xlabel="L2 error of the velocity", ylabel="seconds")
     axes.grid(color="#e4e7ea", linewidth=0.6)
     axes.legend(fontsize=8, frameon=False)

@@ -7,6 +7,7 @@ box, Re 100) to t = 1. standing-wave is the same box at rest with u = A sin(2 pi
 seconds: PySPH's solve() alone, neither its set-up nor its compiler. error: L2 norm of the velocity's error over that of
 the exact velocity, at the particles.
 """
+
 import json
 import sys
 import tempfile
@@ -35,9 +36,27 @@ def main(case, scheme, nx, perturb):
     wave = case == "standing-wave"
     app = (StandingWave if wave else TaylorGreen)(fname=case)
     with tempfile.TemporaryDirectory() as folder:
-        app.setup(["--scheme", scheme, "--nx", nx, "--perturb", perturb, "--re", "1e12" if wave else str(REYNOLDS),
-                   "--tf", str(PERIODS / c0) if wave else "1.0", "--disable-output", "--pfreq", "100000000",
-                   "--openmp", "--cache-nnps", "-d", folder])
+        app.setup(
+            [
+                "--scheme",
+                scheme,
+                "--nx",
+                nx,
+                "--perturb",
+                perturb,
+                "--re",
+                "1e12" if wave else str(REYNOLDS),
+                "--tf",
+                str(PERIODS / c0) if wave else "1.0",
+                "--disable-output",
+                "--pfreq",
+                "100000000",
+                "--openmp",
+                "--cache-nnps",
+                "-d",
+                folder,
+            ]
+        )
         started = time.perf_counter()
         app.solve()
         took = time.perf_counter() - started

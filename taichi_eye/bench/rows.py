@@ -1,4 +1,5 @@
 """Rows of the bench's table: a measured figure beside what is asked of it."""
+
 import math
 from dataclasses import asdict, dataclass
 
@@ -7,8 +8,8 @@ from dataclasses import asdict, dataclass
 class Row:
     """One measured figure.
 
-    value: None where it could not be had, and `note` says why; asked: in words, empty where nothing is; holds: whether the
-    value is what is asked, None where nothing is asked or nothing was measured; note: sizes and settings.
+    value: None where it could not be had, and `note` says why; asked: in words, empty where nothing is; holds: whether
+    the value is what is asked, None where nothing is asked or nothing was measured; note: sizes and settings.
     """
 
     name: str
@@ -46,4 +47,6 @@ def skipped(name: str, reason: str, asked: str = "") -> Row:
 def within(name: str, value: float, unit: str, low: float, high: float, slack: float, note: str = "") -> Row:
     """A figure that is to lie from `low` to `high`, give or take `slack`; NaN does not."""
     asked = f"{low:g}" if low == high else f"{low:g} to {high:g}"
-    return Row(name, value, unit, f"{asked} +- {slack:g}" if slack else asked, bool(low - slack <= value <= high + slack), note)
+    return Row(
+        name, value, unit, f"{asked} +- {slack:g}" if slack else asked, bool(low - slack <= value <= high + slack), note
+    )

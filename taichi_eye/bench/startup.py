@@ -4,14 +4,20 @@
 from outside until its first frame is a file. Cold: Taichi's offline cache is an empty folder. Cached: a whole run has
 filled it. Then the same stages in one process by its own clock, and a second scene of another size after the first.
 
-What a start consists of, on two cores of an EPYC, in CPU seconds to the first frame: numpy and Taichi 0.3, its start 0.1,
-scipy's spatial package 0.3, matplotlib's colours 0.1, packing 0.05, kernels 1.5 from the cache and 4.5 without. Kernels from
-the cache are not free: Taichi runs its Python front end over each to find its key (see `taichi_eye.frontend`: a third of a
-cached start before), and generates machine code from what it finds. Scipy's interpolation and matplotlib's figures load
-when something is interpolated or drawn; tables of the film come by one kernel a view. The time loop, the largest kernel,
-compiles after the first frame, and apart from the survey: together they took twice the time. Fields are made for at least
-2048 nodes, so that all scenes below share their kernels, in the cache too. What gained nothing: Python's collector off.
+What a start consists of, on two cores of an EPYC, in CPU seconds to the first frame: numpy and Taichi 0.3, its start
+0.1, scipy's spatial package 0.3, matplotlib's colours 0.1, packing 0.05, kernels 1.5 from the cache and 4.5 without.
+Kernels
+from the cache are not free: Taichi runs its Python front end over each to find its key (see `taichi_eye.frontend`: a
+third
+of a cached start before), and generates machine code from what it finds. Scipy's interpolation and matplotlib's figures
+load
+when something is interpolated or drawn; tables of the film come by one kernel a view. The time loop, the largest
+kernel, compiles after the first frame, and apart from the survey: together they took twice the time. Fields are made
+for at
+least 2048 nodes, so that all scenes below share their kernels, in the cache too. What gained nothing: Python's
+collector off.
 """
+
 import json
 import os
 import subprocess
@@ -49,17 +55,38 @@ def measure(stage, cached_runs: int = 4):
         slow = _stages(work / "stages")
         quick = min((_stages(work / "stages") for _ in range(2)), key=lambda found: sum(found.values()))
     (took, busy), (took_cached, busy_cached) = min(cold), min(cached)
-    rows = [at_most("quick scene, exec to first frame, cold", took, "s", COLD_S,
-                    f"best of 2, empty kernel cache, {busy:.1f} s of CPU"),
-            at_most("quick scene, exec to first frame, cached", took_cached, "s", CACHED_S,
-                    f"best of {cached_runs}, {busy_cached:.1f} s of CPU")]
-    rows += [figure(f"quick scene, whole run, {name}", took, "s", f"to the end of the process, {busy:.1f} s of CPU")
-             for name, (took, busy) in (("cold", whole_cold), ("cached", whole))]
+    rows = [
+        at_most(
+            "quick scene, exec to first frame, cold",
+            took,
+            "s",
+            COLD_S,
+            f"best of 2, empty kernel cache, {busy:.1f} s of CPU",
+        ),
+        at_most(
+            "quick scene, exec to first frame, cached",
+            took_cached,
+            "s",
+            CACHED_S,
+            f"best of {cached_runs}, {busy_cached:.1f} s of CPU",
+        ),
+    ]
+    rows += [
+        figure(f"quick scene, whole run, {name}", took, "s", f"to the end of the process, {busy:.1f} s of CPU")
+        for name, (took, busy) in (("cold", whole_cold), ("cached", whole))
+    ]
     rows.append(figure("kernels in the cache after a run", len(sizes), "", f"{sum(sizes) / 1e6:.1f} MB"))
     rows += [figure(f"  {name}", took, "s", f"cached; cold {slow[name]:.2f} s") for name, took in quick.items()]
     first, second = (slow["solver set-up"] + slow["first sample"], slow["second scene's set-up and first sample"])
-    rows.append(at_most("second scene of another size over the first, cold", second / first, "", AGAIN,
-                        "set-up and first sample, same process"))
+    rows.append(
+        at_most(
+            "second scene of another size over the first, cold",
+            second / first,
+            "",
+            AGAIN,
+            "set-up and first sample, same process",
+        )
+    )
     return rows, []
 
 
@@ -73,8 +100,11 @@ def _start(out, cache, whole: bool = False):
     """Seconds from exec to the first frame's file, or to the end of the process, and its CPU seconds until then."""
     started = time.perf_counter()
     watched = () if whole else ("--set", "output.png_frames=true")
-    process = subprocess.Popen([sys.executable, "-m", "taichi_eye", "run", *QUICK, *watched, "--quiet", "--out", str(out)],
-                               env=_environment(cache), stdout=subprocess.DEVNULL)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "taichi_eye", "run", *QUICK, *watched, "--quiet", "--out", str(out)],
+        env=_environment(cache),
+        stdout=subprocess.DEVNULL,
+    )
     try:
         while watched and not any(out.glob("frames/*.png")):
             if process.poll() is not None or time.perf_counter() - started > PATIENCE_S:
@@ -93,8 +123,14 @@ def _start(out, cache, whole: bool = False):
 
 
 def _stages(cache):
-    said = subprocess.run([sys.executable, "-c", "from taichi_eye.bench import startup; startup.stages()"],
-                          env=_environment(cache), capture_output=True, text=True, check=True, timeout=PATIENCE_S)
+    said = subprocess.run(
+        [sys.executable, "-c", "from taichi_eye.bench import startup; startup.stages()"],
+        env=_environment(cache),
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=PATIENCE_S,
+    )
     return json.loads(said.stdout.splitlines()[-1])
 
 
@@ -113,6 +149,7 @@ def stages() -> None:
     from taichi_eye.film import FilmView, FrameState
     from taichi_eye.scene import load_scene
     from taichi_eye.solver.simulation import Simulation
+
     lap("imports")
     backend.init()
     lap("Taichi's start")
@@ -128,10 +165,20 @@ def stages() -> None:
 
     def draw(simulation, frame):
         if frame == 0:
-            view.render(FrameState(
-                time_ms=0.0, wall=simulation.cornea.place, wall_count=cloud.wall_count, nodes=simulation.aqueous.place,
-                node_count=cloud.count, pressure=simulation.aqueous.pressure, velocity=simulation.aqueous.velocity,
-                trace_time_ms=nothing, trace_apex_mm=nothing, trace_puff_kpa=nothing))
+            view.render(
+                FrameState(
+                    time_ms=0.0,
+                    wall=simulation.cornea.place,
+                    wall_count=cloud.wall_count,
+                    nodes=simulation.aqueous.place,
+                    node_count=cloud.count,
+                    pressure=simulation.aqueous.pressure,
+                    velocity=simulation.aqueous.velocity,
+                    trace_time_ms=nothing,
+                    trace_apex_mm=nothing,
+                    trace_puff_kpa=nothing,
+                )
+            )
             lap("first frame")
 
     def first_sample(name):

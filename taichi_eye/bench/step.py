@@ -11,13 +11,14 @@ the core's cache; launching the bare gather adds to its clock what a busy machin
 Node-updates per second are nodes over time; the puff rises by 1 kPa/ms, about its steepest. A small scene is held
 against its nodes times the time of a node-update at 4000 nodes, all on one thread.
 """
+
 import numpy as np
-import taichi as ti
 
 from taichi_eye import backend
 from taichi_eye.backend import real
 from taichi_eye.bench.rows import Row, at_least, at_most, figure
 from taichi_eye.bench.timing import best_of
+from taichi_eye.lang import ti
 from taichi_eye.mfpm.neighbours import image_of
 from taichi_eye.scene import load_scene
 from taichi_eye.solver.simulation import Simulation, cloud_of
@@ -54,8 +55,9 @@ class Gathers:
             slope += weight * (self.aqueous.pressure[j] - p)
             laplacian += self.operators.laplacian_weight[i, k] * d
             slopes += ti.Matrix([[d[0] * weight[0], d[0] * weight[1]], [d[1] * weight[0], d[1] * weight[1]]])
-        self.out[i] = ti.Vector([slope[0], slope[1], laplacian[0], laplacian[1], slopes[0, 0], slopes[0, 1],
-                                 slopes[1, 0], slopes[1, 1]])
+        self.out[i] = ti.Vector(
+            [slope[0], slope[1], laplacian[0], laplacian[1], slopes[0, 0], slopes[0, 1], slopes[1, 0], slopes[1, 1]]
+        )
 
     @ti.kernel
     def bare(self):
@@ -130,6 +132,7 @@ def _compare(spacing, threads):
             for _ in range(count):
                 kernel()
             ti.sync()
+
         run()
         return run
 
@@ -137,10 +140,12 @@ def _compare(spacing, threads):
     took = {name: seconds / count / cloud.count for name, seconds in best.items()}
     where = f"{cloud.count} nodes, {threads} thread{'s' * (threads > 1)}"
     sweeps = f"at most {simulation.coupling.sweeps[0]} sweeps a step, best of {TURNS}"
-    return [figure(f"bare gather, {where}", 1e-6 / took["bare"], "M/s", "node-updates per second"),
-            figure(f"coupled step, {where}", 1e-6 / took["step"], "M/s", sweeps),
-            at_least(f"coupled step over bare gather, {where}", took["bare"] / took["step"], "", SHARE, sweeps),
-            figure(f"coupled step over its own gathers, {where}", took["own"] / took["step"], "", sweeps)], took["step"]
+    return [
+        figure(f"bare gather, {where}", 1e-6 / took["bare"], "M/s", "node-updates per second"),
+        figure(f"coupled step, {where}", 1e-6 / took["step"], "M/s", sweeps),
+        at_least(f"coupled step over bare gather, {where}", took["bare"] / took["step"], "", SHARE, sweeps),
+        figure(f"coupled step over its own gathers, {where}", took["own"] / took["step"], "", sweeps),
+    ], took["step"]
 
 
 def _small(spacing, node_update):
@@ -148,5 +153,10 @@ def _small(spacing, node_update):
     count = 200
     _, advance = steps_of(scene, cloud, count)
     took = best_of({"step": advance}, TURNS)["step"] / count
-    return at_most(f"step of {cloud.count} nodes over {cloud.count} node-updates", took / (cloud.count * node_update), "",
-                   SMALL_COST, f"{1e6 * took:.1f} us a step on one thread")
+    return at_most(
+        f"step of {cloud.count} nodes over {cloud.count} node-updates",
+        took / (cloud.count * node_update),
+        "",
+        SMALL_COST,
+        f"{1e6 * took:.1f} us a step on one thread",
+    )

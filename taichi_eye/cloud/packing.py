@@ -7,11 +7,14 @@ across the axis pushing too. Then the worst hole gets a node or the closest pair
 again, until every hole and gap is within bounds. Nothing is random: the same section and spacing give the same cloud.
 
 A lattice is its own equilibrium, so the relaxation is a disturbance that walks in from the walls, some 40 rows in 300
-sweeps: only nodes that it has reached are looked at, and the pairs in reach are listed once for up to 20 sweeps. Against
-all pairs in each sweep the nodes end in the same places to 1e-7 spacings (the default eye's apex history: to 3e-13 mm), six
-times sooner at 1.3 k nodes, ten times at 200 k, where half of the time that is left is Delaunay's (`taichi-eye bench --only
-packing`). Longer lists (a skin of 0.3) take in the lattice's second ring and doubled the work of a sweep.
+sweeps: only nodes that it has reached are looked at, and the pairs in reach are listed once for up to 20 sweeps.
+Against all pairs in each sweep the nodes end in the same places to 1e-7 spacings (the default eye's apex history: to
+3e-13 mm),
+six times sooner at 1.3 k nodes, ten times at 200 k, where half of the time that is left is Delaunay's (`taichi-eye
+bench
+--only packing`). Longer lists (a skin of 0.3) take in the lattice's second ring and doubled the work of a sweep.
 """
+
 from dataclasses import dataclass
 
 import numpy as np
@@ -132,7 +135,8 @@ def _with_images(section, points, spacing):
 class _Neighbourhood:
     """The pairs of nodes that may push each other, kept for some sweeps, where nodes still move.
 
-    awake [a]: the inner nodes that are moved, all others rest; place [2, m]: those, their surroundings and mirror images.
+    awake [a]: the inner nodes that are moved, all others rest; place [2, m]: those, their surroundings and mirror
+    images.
     """
 
     def __init__(self, section, walls, points, hot, spacing):
@@ -152,7 +156,7 @@ class _Neighbourhood:
         self.images = np.flatnonzero((place[0] > 0.0) & (place[0] < 2.0 * spacing) & (not section.planar))
         self.known = len(around)
         self.place = np.hstack([place, place[:, self.images] * [[-1.0], [1.0]]])
-        self.built = self.place[:, :len(self.awake)].copy()
+        self.built = self.place[:, : len(self.awake)].copy()
         pairs = cKDTree(self.place.T).query_pairs((REACH + SKIN) * spacing, output_type="ndarray")
         # of a pair the smaller index comes first
         self.one, self.other = pairs[pairs[:, 0] < len(self.awake)].T.copy()
@@ -164,13 +168,17 @@ class _Neighbourhood:
         strength = np.maximum(reach * inverse - 1.0, 0.0)
         strength *= strength * inverse
         count = len(self.awake)
-        return np.array([np.bincount(self.one, part, count) - np.bincount(self.other, part, count)[:count]
-                         for part in strength * away])
+        return np.array(
+            [
+                np.bincount(self.one, part, count) - np.bincount(self.other, part, count)[:count]
+                for part in strength * away
+            ]
+        )
 
     def move(self, moved):
         """Take the new places [2, a] of the awake nodes; how far any has come since the list was made [m]."""
-        self.place[:, :len(self.awake)] = moved
-        self.place[:, self.known:] = self.place[:, self.images] * [[-1.0], [1.0]]
+        self.place[:, : len(self.awake)] = moved
+        self.place[:, self.known :] = self.place[:, self.images] * [[-1.0], [1.0]]
         return np.sqrt(np.square(moved - self.built).sum(0).max())
 
 
@@ -188,7 +196,8 @@ def _grown(cells):
 def _relax(section, fixed, inner, spacing, rounds):
     """Move the inner nodes apart for `rounds` sweeps with steps that shrink to rest.
 
-    Deep inside, the lattice is at rest until the disturbance from the walls comes near: only where nodes move is looked at.
+    Deep inside, the lattice is at rest until the disturbance from the walls comes near: only where nodes move is looked
+    at.
     """
     points = np.vstack([fixed, inner])
     hot = np.ones(len(points), dtype=bool)
@@ -211,7 +220,7 @@ def _relax(section, fixed, inner, spacing, rounds):
         strayed = near.move(moved)
         hot[near.awake] |= length > REST * spacing
         age += 1
-    return points[len(fixed):]
+    return points[len(fixed) :]
 
 
 def triangulate(section: Section, points, spacing: float):
@@ -252,18 +261,23 @@ def pack(section: Section, spacing: float, rounds: int = 300, repairs: int = 40)
     return fill(section, spacing, *boundary(section, spacing), rounds, repairs)
 
 
-def fill(section: Section, spacing: float, fixed, kind, direction, wall_count: int, rounds: int = 300,
-         repairs: int = 40) -> Cloud:
+def fill(
+    section: Section, spacing: float, fixed, kind, direction, wall_count: int, rounds: int = 300, repairs: int = 40
+) -> Cloud:
     """A packed cloud inside given boundary nodes (as `boundary` returns them); raises like `pack`."""
     row = spacing * np.sqrt(3.0) / 2.0
-    r, z = np.meshgrid(np.arange(spacing, section.limbus_radius + spacing, spacing),
-                       np.arange(section.back_z + row, section.apex_z, row))
+    r, z = np.meshgrid(
+        np.arange(spacing, section.limbus_radius + spacing, spacing),
+        np.arange(section.back_z + row, section.apex_z, row),
+    )
     r[1::2] -= 0.5 * spacing
     inner = np.column_stack([r.ravel(), z.ravel()])
     inner = inner[section.wall_clearance(inner) > 0.6 * spacing]
     if len(inner) < 8:
-        raise SceneError(f"numerics.spacing_mm = {spacing * 1e3:g}: only {len(inner)} nodes fit inside the chamber; "
-                         "at least 8 are needed, so take a smaller spacing")
+        raise SceneError(
+            f"numerics.spacing_mm = {spacing * 1e3:g}: only {len(inner)} nodes fit inside the chamber; "
+            "at least 8 are needed, so take a smaller spacing"
+        )
     inner = _relax(section, fixed, inner, spacing, rounds)
     for _ in range(repairs):
         points = np.vstack([fixed, inner])
@@ -277,9 +291,11 @@ def fill(section: Section, spacing: float, fixed, kind, direction, wall_count: i
             inner = np.delete(inner, np.argmin(gap), 0)
         inner = _relax(section, fixed, inner, spacing, rounds // 2)
     else:
-        raise SceneError(f"numerics.spacing_mm = {spacing * 1e3:g}: the node cloud keeps a hole of {hole / spacing:.2f} "
-                         f"(at most {HOLE_LIMIT}) or a gap of {gap.min() / spacing:.2f} (at least {GAP_LIMIT}) "
-                         "spacings in this chamber; take another spacing, smaller if in doubt")
+        raise SceneError(
+            f"numerics.spacing_mm = {spacing * 1e3:g}: the node cloud keeps a hole of {hole / spacing:.2f} "
+            f"(at most {HOLE_LIMIT}) or a gap of {gap.min() / spacing:.2f} (at least {GAP_LIMIT}) "
+            "spacings in this chamber; take another spacing, smaller if in doubt"
+        )
     inner = inner[np.lexsort((inner[:, 1], np.floor(inner[:, 0] / (3.0 * spacing))))]
     return complete(section, spacing, np.vstack([fixed, inner]), kind, direction, wall_count)
 
@@ -300,5 +316,15 @@ def complete(section: Section, spacing: float, points, kind, direction, wall_cou
     wall_index[:wall_count] = np.minimum(np.arange(wall_count), wall_count - 2)
     fraction[:wall_count] = np.arange(wall_count) - wall_index[:wall_count]
     height[:wall_count] = 1.0
-    return Cloud(section, spacing, points, wall_count, kind, direction, triangulate(section, points, spacing),
-                 wall_index, fraction, height)
+    return Cloud(
+        section,
+        spacing,
+        points,
+        wall_count,
+        kind,
+        direction,
+        triangulate(section, points, spacing),
+        wall_index,
+        fraction,
+        height,
+    )

@@ -1,7 +1,7 @@
 """How good a node cloud is: smallest gap, largest hole, evenness."""
+
 from dataclasses import dataclass
 
-import numpy as np
 from scipy.spatial import cKDTree
 
 from taichi_eye.cloud.packing import Cloud, circumradii
@@ -25,5 +25,9 @@ def measure(cloud: Cloud, points=None) -> CloudQuality:
     middle = points[cloud.triangles].mean(1)
     # a flat triangle along the boundary is no hole: its circle lies mostly outside
     inside = cloud.section.wall_clearance(middle) > 0.02 * cloud.spacing if points is cloud.points else hole > 0.0
-    return CloudQuality(len(points), float(gap.min() / cloud.spacing), float(gap.mean() / cloud.spacing),
-                        float(hole[inside].max() / cloud.spacing))
+    return CloudQuality(
+        len(points),
+        float(gap.min() / cloud.spacing),
+        float(gap.mean() / cloud.spacing),
+        float(hole[inside].max() / cloud.spacing),
+    )

@@ -21,6 +21,7 @@ COURSE = 0.0, 0.02, 0.065, 0.155, 0.30, 0.37, 0.41, 0.51, 0.71, 0.94, 1.0, 0.89,
 def _course():
     # scipy's interpolation takes half a second to load, and few scenes need it
     from scipy.interpolate import PchipInterpolator
+
     return PchipInterpolator(COURSE_MS, COURSE, extrapolate=False)
 
 

@@ -19,9 +19,9 @@ gaussian  exp(-r^2/w^2).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,7 +31,7 @@ from taichi_eye.scene.table import read_puff_file
 from taichi_eye.units import KPA, MM, MS
 
 CORVIS_PEAK_S = 16.15 * MS
-CORVIS_RISE = 8.00 * MS, 2.59          # width, power
+CORVIS_RISE = 8.00 * MS, 2.59  # width, power
 CORVIS_FALL = 4.175 * MS, 1.547
 
 
@@ -50,7 +50,7 @@ class Puff:
     samples: tuple[np.ndarray, np.ndarray] | None = None
 
     @classmethod
-    def from_scene(cls, scene: Scene) -> "Puff":
+    def from_scene(cls, scene: Scene) -> Puff:
         """The puff that a resolved scene describes; SceneError where its pressure file has gone bad meanwhile."""
         puff, samples = scene.puff, None
         if puff.time_course == "file":
@@ -91,8 +91,15 @@ class Puffs:
                 self._groups.append((eyes, puffs[eyes[0]]))
                 continue
             column = lambda name, eyes=eyes: np.array([[getattr(puffs[eye], name)] for eye in eyes])
-            self._groups.append((eyes, replace(puffs[eyes[0]], **{name: column(name) for name in
-                                                                  ("peak", "duration", "spread_b", "radial_rate")})))
+            self._groups.append(
+                (
+                    eyes,
+                    replace(
+                        puffs[eyes[0]],
+                        **{name: column(name) for name in ("peak", "duration", "spread_b", "radial_rate")},
+                    ),
+                )
+            )
 
     def pressure_at_apex(self, t: np.ndarray) -> np.ndarray:
         """Pressure [Pa] over atmosphere at the apex of each eye at its times t [eyes, times] (s)."""

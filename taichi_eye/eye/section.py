@@ -5,6 +5,7 @@ of radius R that ends at the limbus radius a; its pole, the apex, lies at z = R 
 chamber is closed by a rigid back plane (iris and lens), on which a spherical lens cap may stand, and, where the
 back plane lies deeper than the limbus, by a rigid cylinder at r = a.
 """
+
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,8 +31,13 @@ class Section:
     @classmethod
     def from_scene(cls, scene) -> "Section":
         """The section that a resolved scene describes."""
-        return cls(scene.cornea.radius_mm * MM, scene.cornea.limbus_radius_mm * MM, scene.chamber.depth_mm * MM,
-                   scene.chamber.lens_radius_mm * MM, scene.chamber.lens_height_mm * MM)
+        return cls(
+            scene.cornea.radius_mm * MM,
+            scene.cornea.limbus_radius_mm * MM,
+            scene.chamber.depth_mm * MM,
+            scene.chamber.lens_radius_mm * MM,
+            scene.chamber.lens_height_mm * MM,
+        )
 
     @property
     def centre_z(self) -> float:

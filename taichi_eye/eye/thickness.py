@@ -29,5 +29,9 @@ def prestrain(scene: Scene, r: ArrayLike) -> np.ndarray:
     if cornea.limbus_thickness_mm == cornea.thickness_mm:
         return np.full(r.shape, cornea.prestrain)
     iop, radius = scene.eye.iop_mmhg * MMHG, cornea.radius_mm * MM
-    return np.array([solve_prestrain(rest_stress(iop, radius, h), cornea.stiffness_a_pa, cornea.exponent_k)
-                     for h in thickness(scene, r).ravel()]).reshape(r.shape)
+    return np.array(
+        [
+            solve_prestrain(rest_stress(iop, radius, h), cornea.stiffness_a_pa, cornea.exponent_k)
+            for h in thickness(scene, r).ravel()
+        ]
+    ).reshape(r.shape)

@@ -25,8 +25,18 @@ from numpy.typing import ArrayLike
 
 from taichi_eye.scene.calibration import rest_stress, solve_exponent, solve_prestrain, solve_stiffness
 
-__all__ = ["biaxial_tangent", "energy", "flexural_rigidity", "inflation_pressure", "rest_stress", "solve_exponent", "solve_prestrain",
-           "solve_stiffness", "strain", "stress"]
+__all__ = [
+    "biaxial_tangent",
+    "energy",
+    "flexural_rigidity",
+    "inflation_pressure",
+    "rest_stress",
+    "solve_exponent",
+    "solve_prestrain",
+    "solve_stiffness",
+    "strain",
+    "stress",
+]
 
 
 def strain(stretch: ArrayLike) -> np.ndarray:
@@ -60,8 +70,9 @@ def flexural_rigidity(modulus: float, thickness: ArrayLike, nu: float) -> np.nda
     return modulus * np.asarray(thickness) ** 3 / (12.0 * (1.0 - nu * nu))
 
 
-def inflation_pressure(stretch: ArrayLike, radius: float, thickness: float, a: float, k: float,
-                       prestrain: float) -> np.ndarray:
+def inflation_pressure(
+    stretch: ArrayLike, radius: float, thickness: float, a: float, k: float, prestrain: float
+) -> np.ndarray:
     """Pressure [Pa] that holds a whole sphere of this tissue at a uniform stretch lam, closed form.
 
     p(lam) = (2 h/(R lam)) 2 A k e exp(2 k e^2), e = (lam^2 - 1)/2 + eps0; radius R and thickness h in m, at lam = 1.

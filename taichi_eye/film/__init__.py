@@ -1,5 +1,6 @@
 """Live, off-screen film: solver fields to 8-bit images in Taichi kernels, images to a film while the run
 goes on."""
+
 import numpy as np
 
 from .encoder import EncoderError, FilmWriter, frame_name, write_gif
@@ -8,8 +9,17 @@ from .scheimpflug import Scheimpflug
 from .state import FrameState
 from .surface import Surface
 
-__all__ = ["EncoderError", "FilmView", "FilmWriter", "FrameState", "Particles", "Scheimpflug", "Surface",
-           "frame_name", "write_gif"]
+__all__ = [
+    "EncoderError",
+    "FilmView",
+    "FilmWriter",
+    "FrameState",
+    "Particles",
+    "Scheimpflug",
+    "Surface",
+    "frame_name",
+    "write_gif",
+]
 
 
 class FilmView:
@@ -50,11 +60,11 @@ class FilmView:
         height, width = self.slit.shape
         # a pixel of three channels, doubled, is three pairs of equal bytes
         pairs = self.slit * np.uint16(0x101)
-        doubled = image[:2 * height].reshape(height, 2, 6 * width)
+        doubled = image[: 2 * height].reshape(height, 2, 6 * width)
         for k in range(3):
             doubled[:, 0].view(np.uint16)[:, k::3] = pairs
         doubled[:, 1] = doubled[:, 0]
-        self.particles.render(state, fresh=False, out=image[2 * height:])
+        self.particles.render(state, fresh=False, out=image[2 * height :])
         return image
 
     def scheimpflug_frame(self, state: FrameState) -> np.ndarray:

@@ -1,4 +1,5 @@
 """Frames to files: an H.264 film written while the simulation runs, PNG sequences, small GIFs."""
+
 import os
 import queue
 import subprocess
@@ -11,9 +12,9 @@ import imageio_ffmpeg
 import numpy as np
 from PIL import Image
 
-QUALITY = 20         # constant rate factor: sensor noise stays visible
-PRESET = "ultrafast"   # noise makes every frame costly: half the time of "veryfast" for a file twice the size
-QUEUED_FRAMES = 16     # that may wait for the encoder while the simulation goes on
+QUALITY = 20  # constant rate factor: sensor noise stays visible
+PRESET = "ultrafast"  # noise makes every frame costly: half the time of "veryfast" for a file twice the size
+QUEUED_FRAMES = 16  # that may wait for the encoder while the simulation goes on
 
 
 class EncoderError(Exception):
@@ -108,19 +109,45 @@ class FilmWriter:
     def _start(self, frame: np.ndarray) -> None:
         self._shape = frame.shape
         size = f"{frame.shape[1] + frame.shape[1] % 2}x{frame.shape[0] + frame.shape[0] % 2}"
-        source = ["-f", "rawvideo", "-pix_fmt", "gray" if frame.ndim == 2 else "rgb24", "-s", size,
-                  "-r", f"{self.fps:g}", "-i", "-"]
+        source = [
+            "-f",
+            "rawvideo",
+            "-pix_fmt",
+            "gray" if frame.ndim == 2 else "rgb24",
+            "-s",
+            size,
+            "-r",
+            f"{self.fps:g}",
+            "-i",
+            "-",
+        ]
         # without accurate rounding grey comes back two levels too dark and tinted
-        colour = ["-vf", "scale=out_color_matrix=bt709:out_range=tv:"
-                  "flags=bicubic+accurate_rnd+full_chroma_int,"
-                  "setparams=range=tv:color_primaries=bt709:color_trc=bt709:colorspace=bt709"]
-        target = ["-an", "-c:v", "libx264", "-preset", PRESET, "-crf", str(QUALITY), "-pix_fmt", "yuv420p",
-                  "-movflags", "+faststart", str(self._partial)]
+        colour = [
+            "-vf",
+            "scale=out_color_matrix=bt709:out_range=tv:"
+            "flags=bicubic+accurate_rnd+full_chroma_int,"
+            "setparams=range=tv:color_primaries=bt709:color_trc=bt709:colorspace=bt709",
+        ]
+        target = [
+            "-an",
+            "-c:v",
+            "libx264",
+            "-preset",
+            PRESET,
+            "-crf",
+            str(QUALITY),
+            "-pix_fmt",
+            "yuv420p",
+            "-movflags",
+            "+faststart",
+            str(self._partial),
+        ]
         command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", *source, *colour, *target]
         self._log = tempfile.TemporaryFile()
         # a session of its own: Ctrl-C stops the run, which then closes the film in order
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
-                                         stderr=self._log, start_new_session=True)
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._log, start_new_session=True
+        )
         self._feeder = threading.Thread(target=self._feed, daemon=True)
         self._feeder.start()
 
@@ -134,8 +161,9 @@ def frame_name(number: int, time_ms: float) -> str:
     return f"frame_{number:03d}_{time_ms:05.2f}ms.png"
 
 
-def write_gif(frames: Iterable[np.ndarray], path: str | Path, *, fps: float = 25.0,
-              width_px: int | None = None, colours: int = 64) -> None:
+def write_gif(
+    frames: Iterable[np.ndarray], path: str | Path, *, fps: float = 25.0, width_px: int | None = None, colours: int = 64
+) -> None:
     """A looping GIF of uint8 frames ([H, W] or [H, W, 3]), of one palette taken from a spread of them.
 
     `width_px` shrinks by area averaging, which also quietens noise, the enemy of a small file; GIF players
@@ -147,11 +175,18 @@ def write_gif(frames: Iterable[np.ndarray], path: str | Path, *, fps: float = 25
     if width_px is not None and width_px < images[0].width:
         size = (width_px, max(1, round(images[0].height * width_px / images[0].width)))
         images = [image.resize(size, Image.Resampling.BOX) for image in images]
-    sample = images[::max(1, len(images) // 6)]
+    sample = images[:: max(1, len(images) // 6)]
     strip = Image.new("RGB", (images[0].width, images[0].height * len(sample)))
     for k, image in enumerate(sample):
         strip.paste(image, (0, k * image.height))
     palette = strip.quantize(colours, dither=Image.Dither.NONE)
     images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-    images[0].save(path, format="GIF", save_all=True, append_images=images[1:], loop=0,
-                   duration=max(20, round(1000.0 / fps)), optimize=True)
+    images[0].save(
+        path,
+        format="GIF",
+        save_all=True,
+        append_images=images[1:],
+        loop=0,
+        duration=max(20, round(1000.0 / fps)),
+        optimize=True,
+    )

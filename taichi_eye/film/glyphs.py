@@ -1,5 +1,6 @@
 """Text on images: glyphs of matplotlib's DejaVu Sans, rasterised once per size and blended where needed."""
-from functools import lru_cache
+
+from functools import cache
 from pathlib import Path
 
 import matplotlib
@@ -9,7 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 CHARACTERS = "0123456789.,-+ abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ/()="
 
 
-@lru_cache(maxsize=None)
+@cache
 def font(size_px: int, bold: bool = False) -> ImageFont.FreeTypeFont:
     """DejaVu Sans of `size_px` pixels, from the copy that matplotlib ships."""
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
@@ -46,7 +47,7 @@ def stamp(image: np.ndarray, mask: np.ndarray, row: int, column: int, colour) ->
     bottom, right = min(row + mask.shape[0], image.shape[0]), min(column + mask.shape[1], image.shape[1])
     if top >= bottom or left >= right:
         return
-    cover = mask[top - row:bottom - row, left - column:right - column]
+    cover = mask[top - row : bottom - row, left - column : right - column]
     if image.ndim == 3:
         cover = cover[..., None]
     patch = image[top:bottom, left:right]

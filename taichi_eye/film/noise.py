@@ -1,10 +1,12 @@
 """Sensor noise from a counter: the value depends on seed, frame and pixel alone, not on the order of
 drawing."""
-from functools import lru_cache
+
+from functools import cache
 from statistics import NormalDist
 
 import numpy as np
-import taichi as ti
+
+from taichi_eye.lang import ti
 
 QUANTILES = 4096
 
@@ -31,7 +33,7 @@ def noise_key(seed: int, frame: int) -> int:
     return int(np.random.SeedSequence([seed, frame]).generate_state(1)[0])
 
 
-@lru_cache(maxsize=None)
+@cache
 def gaussian_table() -> np.ndarray:
     """Standard normal quantiles at the midpoints of 4096 equal shares, scaled to unit variance, shape
     [4096]."""

@@ -10,17 +10,18 @@ The colour limits are those of the scene, fixed for the whole film: pressure fro
 quarter of the puff's peak (a sealed chamber gains about a fifth of it), speed from 0 to 0.03 m/s per kPa of
 peak.
 """
+
 from dataclasses import dataclass
 from math import ceil, floor, log10
 
 import matplotlib
 import numpy as np
-import taichi as ti
 from PIL import Image, ImageDraw
 
 from taichi_eye.backend import real
 from taichi_eye.eye.puff import Puff
 from taichi_eye.eye.section import Section
+from taichi_eye.lang import ti
 from taichi_eye.units import KPA, MM, MMHG, MS
 
 from .glyphs import GlyphAtlas, font, stamp
@@ -33,13 +34,13 @@ TEXT, FAINT, GRID = (216, 222, 233), (128, 140, 160), (36, 44, 60)
 MEMBRANE, WALL = (250, 244, 230), (98, 109, 130)
 JET, TRACE = (96, 190, 255), (255, 196, 92)
 COLOURMAPS = {"pressure": "viridis", "speed": "plasma"}
-DARKEST = 0.12            # start of the colour map: its first colours drown in the background
-FILL = 0.34               # brightness of the space between nodes, of their colour
+DARKEST = 0.12  # start of the colour map: its first colours drown in the background
+FILL = 0.34  # brightness of the space between nodes, of their colour
 FILL_FLOOR = (8.0, 10.0, 16.0)
 EMPTY = 0xFFFFFFFF
-SHADE_BITS = 8            # of the nearest-node word; the distance takes the other 24
+SHADE_BITS = 8  # of the nearest-node word; the distance takes the other 24
 DISTANCES = 1 << (32 - SHADE_BITS)
-COVER_BITS = 12           # of the distance, that tell what a disc covers
+COVER_BITS = 12  # of the distance, that tell what a disc covers
 COVERS = 1 << COVER_BITS
 
 
@@ -49,12 +50,12 @@ class Layout:
 
     width: int
     height: int
-    unit: float           # px per 1/1152 of the width
-    scale: float          # px/mm of the section
-    axis: int             # column of the axis: the boundary between columns axis-1 and axis
-    limbus_row: float     # row of z = 0
-    half: int             # columns of half a section
-    plot: tuple[int, int, int, int]    # left, top, right, bottom of the trace's axes
+    unit: float  # px per 1/1152 of the width
+    scale: float  # px/mm of the section
+    axis: int  # column of the axis: the boundary between columns axis-1 and axis
+    limbus_row: float  # row of z = 0
+    half: int  # columns of half a section
+    plot: tuple[int, int, int, int]  # left, top, right, bottom of the trace's axes
 
     @classmethod
     def of(cls, scene) -> "Layout":
@@ -63,7 +64,7 @@ class Layout:
         section = Section.from_scene(scene)
         cap, back = section.apex_z / MM, -section.back_z / MM
         panel = 0.68 * width
-        above, below = 1.30, 0.12                  # mm over the apex for the puff, under the back plane
+        above, below = 1.30, 0.12  # mm over the apex for the puff, under the back plane
         room = 268 * unit
         half_mm = scene.cornea.limbus_radius_mm + 0.42
         scale = min(0.5 * panel / half_mm, room / (above + cap + back + below))
@@ -109,27 +110,32 @@ class Particles:
         self.nearest = ti.field(ti.u32, (self.half, self.height))
         self.wall = ti.field(ti.u8, (self.half, self.height))
         self.floor = ti.field(ti.i32, self.half)
-        self.column = ti.Vector.field(3, real(), self.half)       # row of the cornea, its tilt, the load there
-        self.rows = ti.Vector.field(2, ti.i32, self.half)         # that may show liquid: the first, and after the last
+        self.column = ti.Vector.field(3, real(), self.half)  # row of the cornea, its tilt, the load there
+        self.rows = ti.Vector.field(2, ti.i32, self.half)  # that may show liquid: the first, and after the last
         self.colours = ti.Vector.field(3, ti.f32, 256)
-        self.cover = ti.field(ti.f32, COVERS)             # of a disc, by the distance in a nearest-node word
-        self.glow = ti.field(ti.f32, self.height + 2)     # of the jet, by rows over the cornea
+        self.cover = ti.field(ti.f32, COVERS)  # of a disc, by the distance in a nearest-node word
+        self.glow = ti.field(ti.f32, self.height + 2)  # of the jet, by rows over the cornea
         self.out, self.over = Strips(self.half), Strips(self.right - self.left + 1)
         wall = wall_cover(scene, at)
         ground = background(scene, at, self.limits, self.ranges)
         self.still = (ground + wall[..., None] / 255.0 * (np.array(WALL) - ground) + 0.5).astype(np.uint8)
         distance = np.sqrt((np.arange(COVERS) + 0.5) * (DISTANCES / COVERS / self.distance_steps))
-        section = np.ascontiguousarray(wall[:, at.axis:at.axis + at.half].T)
-        self._load(colour_table(scene), np.clip(self.disc + 0.5 - distance, 0.0, 1.0),
-                   # an even beam, brighter where it stops on the cornea
-                   0.46 + 0.30 * np.exp(-np.arange(self.height + 2) / (0.25 * at.scale)), section, floor_rows(section))
+        section = np.ascontiguousarray(wall[:, at.axis : at.axis + at.half].T)
+        self._load(
+            colour_table(scene),
+            np.clip(self.disc + 0.5 - distance, 0.0, 1.0),
+            # an even beam, brighter where it stops on the cornea
+            0.46 + 0.30 * np.exp(-np.arange(self.height + 2) / (0.25 * at.scale)),
+            section,
+            floor_rows(section),
+        )
         self.big = GlyphAtlas(max(8, round(21 * at.unit)))
         self.small = GlyphAtlas(max(7, round(13 * at.unit)), bold=True)
         self.stamped = stamped
 
     def render(self, state: FrameState, fresh: bool = True, out: np.ndarray | None = None) -> np.ndarray:
-        """The frame at `state`, in `out` (contiguous) where that is given; `fresh` says that the surface tables have yet to be
-        updated for it.
+        """The frame at `state`, in `out` (contiguous) where that is given; `fresh` says that the surface tables have
+        yet to be updated for it.
         """
         if fresh:
             self.surface.update(state.wall, state.wall_count)
@@ -138,12 +144,21 @@ class Particles:
         profile = self.puff_profile
         puff_kpa = state.trace_puff_kpa[-1] if len(state.trace_puff_kpa) else 0.0
         if state.puff_radial is not None and np.max(np.abs(state.puff_radial)) > 0.0:
-            wall_r = state.wall.to_numpy()[:state.wall_count, 0]
+            wall_r = state.wall.to_numpy()[: state.wall_count, 0]
             profile = np.interp(self.radii, wall_r, state.puff_radial, right=0.0)
             profile /= np.max(np.abs(state.puff_radial))
         curves, head, now = self.curve_columns(state)
-        self._draw(image, state.nodes, state.node_count, state.pressure, state.velocity, profile.astype(np.float32),
-                   puff_kpa / self.peak_kpa, curves, now)
+        self._draw(
+            image,
+            state.nodes,
+            state.node_count,
+            state.pressure,
+            state.velocity,
+            profile.astype(np.float32),
+            puff_kpa / self.peak_kpa,
+            curves,
+            now,
+        )
         self.mark(image, *head)
         self.label(image, state, puff_kpa)
         return image
@@ -188,8 +203,14 @@ class Particles:
             stamp(image, load, row, self.right - load.shape[1], JET)
 
     @ti.kernel
-    def _load(self, colours: ti.types.ndarray(), cover: ti.types.ndarray(), glow: ti.types.ndarray(),
-              wall: ti.types.ndarray(), floor: ti.types.ndarray()):
+    def _load(
+        self,
+        colours: ti.types.ndarray(),
+        cover: ti.types.ndarray(),
+        glow: ti.types.ndarray(),
+        wall: ti.types.ndarray(),
+        floor: ti.types.ndarray(),
+    ):
         # as few loops as may be: each costs compile time
         for k in range(ti.static(max(COVERS, self.height + 2, self.half))):
             if k < 256:
@@ -205,9 +226,18 @@ class Particles:
             self.nearest[j, i] = ti.u32(EMPTY)
 
     @ti.kernel
-    def _draw(self, image: ti.types.ndarray(), nodes: ti.template(), node_count: ti.i32, pressure: ti.template(),
-              velocity: ti.template(), profile: ti.types.ndarray(), puff: ti.f32, curves: ti.types.ndarray(),
-              now: ti.i32):
+    def _draw(
+        self,
+        image: ti.types.ndarray(),
+        nodes: ti.template(),
+        node_count: ti.i32,
+        pressure: ti.template(),
+        velocity: ti.template(),
+        profile: ti.types.ndarray(),
+        puff: ti.f32,
+        curves: ti.types.ndarray(),
+        now: ti.i32,
+    ):
         for turn in range(self.out.turns):
             if self.out.draws(turn):
                 first, after = self.out.first(turn), self.out.after(turn)
@@ -424,8 +454,9 @@ def draw_axes(draw: ImageDraw.ImageDraw, at: Layout, ranges: PlotRanges, label) 
     draw.text((right, 13 * unit), "puff", JET, label, anchor="ra")
 
 
-def draw_colour_bar(image: Image.Image, draw: ImageDraw.ImageDraw, scene, at: Layout,
-                    limits: tuple[float, float], label) -> None:
+def draw_colour_bar(
+    image: Image.Image, draw: ImageDraw.ImageDraw, scene, at: Layout, limits: tuple[float, float], label
+) -> None:
     """The colour scale under the section, with its limits and unit."""
     unit = at.unit
     iop = scene.eye.iop_mmhg * MMHG
@@ -469,8 +500,15 @@ def wall_cover(scene, at: Layout) -> np.ndarray:
     radii = np.linspace(-rim, rim, 400)
     outer = rim + 0.16
     for side in (-1.0, 1.0):
-        draw.polygon([place(side * rim, 0.0), place(side * outer, 0.0), place(side * outer, back - 0.11),
-                      place(side * rim, back - 0.11)], fill=255)
+        draw.polygon(
+            [
+                place(side * rim, 0.0),
+                place(side * outer, 0.0),
+                place(side * outer, back - 0.11),
+                place(side * rim, back - 0.11),
+            ],
+            fill=255,
+        )
         x, y = place(side * (rim + 0.04), 0.0)
         size = 0.13 * at.scale * fine
         draw.ellipse([x - size, y - size, x + size, y + size], fill=255)

@@ -6,8 +6,8 @@ soft edge. The camera sees the posterior edge, and behind it iris and lens, thro
 (surface.py). Light falls off to the sides, a speck of the tear film shines now and then, the sensor adds its noise.
 Grey levels and widths were measured on public frames of the instrument:
 
-    air 6.5 +- 3.75, chamber 7.4 +- 3.9; anterior line 80-90 at the centre, 55-60 at the sides, rising over 5 px and 5 px
-    wide at half height; stroma 65 to 46 through its depth at the centre, 38-45 at +-2 mm, 30-34 at +-4 mm; posterior
+    air 6.5 +- 3.75, chamber 7.4 +- 3.9; anterior line 80-90 at the centre, 55-60 at the sides, rising over 5 px and 5
+    px wide at half height; stroma 65 to 46 through its depth at the centre, 38-45 at +-2 mm, 30-34 at +-4 mm; posterior
     fall 46 to 10 over 6-7 px; iris 20-90 in the lower corners, lens 15-25 at the bottom; variance 12 + 0.24 grey level.
 
 Every layer has its switch in [camera]; optics = "plain" draws the band between the two edges and nothing else.
@@ -15,39 +15,41 @@ Every layer has its switch in [camera]; optics = "plain" draws the band between 
 Pixel (row i, column j) has its centre at x = (j - apex_column) pixel_x, z = z_apex,rest - (i - apex_row)
 pixel_y.
 """
+
 from math import erf, exp, sqrt
 
 import numpy as np
-import taichi as ti
+
+from taichi_eye.lang import ti
 
 from .glyphs import GlyphAtlas, stamp
-from .noise import gaussian_table, noise_key, hash_u32
+from .noise import gaussian_table, hash_u32, noise_key
 from .state import FrameState
 from .strips import Strips
 from .surface import RAYS, Surface
 
 AIR = 6.5
 CHAMBER = 7.4
-LINE_CENTRE, LINE_FALL = 85.0, 0.115         # peak of the anterior line on the axis; its fall-off [1/mm]
+LINE_CENTRE, LINE_FALL = 85.0, 0.115  # peak of the anterior line on the axis; its fall-off [1/mm]
 STROMA_TOP, STROMA_BOTTOM, STROMA_FALL = 65.0, 46.0, 0.195
-FALL_CORE_MM = 0.5                           # rounds the fall-off on the axis
-RISE_SIGMA_PX = 2.2                          # blur of the air-to-stroma step; the line rises in 4.5 px
-LINE_SIGMA_PX, LINE_DEPTH_PX = 2.12, 2.4     # the line's excess over the stroma: FWHM 5 px
-POSTERIOR_SIGMA_PX = 2.55                    # 10-90 % in 6.5 px
-NOISE_FLOOR, NOISE_GAIN = 12.0, 0.24         # variance = floor + gain * level
-HAZE_REST, HAZE_DENTED = 9.0, 18.0           # lens haze over the chamber at rest and at 1 mm indentation
-SPECK_SHARE = 0.12                           # of the frames
-SPECK_LEVEL, SPECK_SIGMA_PX = 520.0, 1.3     # saturates over some 4 px
+FALL_CORE_MM = 0.5  # rounds the fall-off on the axis
+RISE_SIGMA_PX = 2.2  # blur of the air-to-stroma step; the line rises in 4.5 px
+LINE_SIGMA_PX, LINE_DEPTH_PX = 2.12, 2.4  # the line's excess over the stroma: FWHM 5 px
+POSTERIOR_SIGMA_PX = 2.55  # 10-90 % in 6.5 px
+NOISE_FLOOR, NOISE_GAIN = 12.0, 0.24  # variance = floor + gain * level
+HAZE_REST, HAZE_DENTED = 9.0, 18.0  # lens haze over the chamber at rest and at 1 mm indentation
+SPECK_SHARE = 0.12  # of the frames
+SPECK_LEVEL, SPECK_SIGMA_PX = 520.0, 1.3  # saturates over some 4 px
 PLAIN_BAND = 150.0
 STAMP_LEVEL = 205
-STEPS_PER_PX = 64                            # the steepest edge moves by 0.2 grey levels in half a step
+STEPS_PER_PX = 64  # the steepest edge moves by 0.2 grey levels in half a step
 PROFILE_BEFORE_PX, PROFILE_AFTER_PX = 10, 14
-SCENERY_MM = 0.05                            # grid of iris and lens
+SCENERY_MM = 0.05  # grid of iris and lens
 SCENERY_REACH_MM, SCENERY_TOP_MM, SCENERY_BOTTOM_MM = 6.5, 1.5, -7.0
 # placed so that at rest the wedges and the haze stand where the instrument's frames show them; z from the limbus plane
 IRIS_RIM_MM, IRIS_PUPIL_MM, IRIS_HEIGHT_MM, IRIS_SLOPE = 4.5, 1.45, 0.22, 0.455
 LENS_POLE_MM, LENS_RADIUS_MM, LENS_SIGMA_MM, LENS_DECAY_MM = -1.35, 10.0, (1.35, 0.48), 1.5
-IRIS_ABOVE_MM, LENS_ABOVE_MM = 0.4, 0.1      # over the front of the iris, and z: higher up there is neither
+IRIS_ABOVE_MM, LENS_ABOVE_MM = 0.4, 0.1  # over the front of the iris, and z: higher up there is neither
 
 
 @ti.data_oriented
@@ -56,8 +58,8 @@ class Scheimpflug:
 
     One `Surface` may be shared with another view, which then need not be updated twice for the same frame.
 
-    A column is drawn from the top down: air, the cornea with its blur, the chamber, and from the row on where iris or lens
-    show, those. Air and chamber are one level each, so their noise is a table of grey levels.
+    A column is drawn from the top down: air, the cornea with its blur, the chamber, and from the row on where iris or
+    lens show, those. Air and chamber are one level each, so their noise is a table of grey levels.
     """
 
     def __init__(self, scene, surface: Surface | None = None):
@@ -77,17 +79,22 @@ class Scheimpflug:
         objects = scenery()
         quantile = gaussian_table() * camera.noise
         self.profile = ti.Vector.field(3, ti.f32, len(profile))
-        self.light = ti.Vector.field(2, ti.f32, self.width)       # on stroma and line
+        self.light = ti.Vector.field(2, ti.f32, self.width)  # on stroma and line
         self.scenery = ti.Vector.field(2, ti.f32, objects.shape[:2])
         self.quantile = ti.field(ti.f32, len(quantile))
-        self.even = ti.Vector.field(2, ti.u8, len(quantile))      # air and chamber, by quantile
+        self.even = ti.Vector.field(2, ti.u8, len(quantile))  # air and chamber, by quantile
         self.mixed = ti.field(ti.u32, (self.width, self.height))
         # light from behind the cornea on the surface's radii, and the row from which on there is any
         self.behind = ti.field(ti.f32, (self.surface.columns, self.height))
         self.behind_from = ti.field(ti.i32, self.surface.columns)
         self.across, self.out = Strips(self.width), Strips(self.surface.columns)
-        self._load(profile, self._lights(camera, line_stroma), objects, quantile,
-                   np.stack([grey_levels(level, quantile) for level in (AIR, CHAMBER)], axis=-1))
+        self._load(
+            profile,
+            self._lights(camera, line_stroma),
+            objects,
+            quantile,
+            np.stack([grey_levels(level, quantile) for level in (AIR, CHAMBER)], axis=-1),
+        )
 
     def render(self, state: FrameState, fresh: bool = True) -> np.ndarray:
         """The frame at `state`; `fresh` says that the surface tables have yet to be updated for it."""
@@ -113,8 +120,14 @@ class Scheimpflug:
         return np.column_stack([stroma, camera.epithelium * np.maximum(line, 0.0)])
 
     @ti.kernel
-    def _load(self, profile: ti.types.ndarray(), light: ti.types.ndarray(), objects: ti.types.ndarray(),
-              quantile: ti.types.ndarray(), even: ti.types.ndarray()):
+    def _load(
+        self,
+        profile: ti.types.ndarray(),
+        light: ti.types.ndarray(),
+        objects: ti.types.ndarray(),
+        quantile: ti.types.ndarray(),
+        even: ti.types.ndarray(),
+    ):
         # as few loops as may be: each costs compile time
         for k in range(ti.static(max(self.profile.shape[0], self.quantile.shape[0], self.width))):
             if k < self.profile.shape[0]:
@@ -231,7 +244,8 @@ class Scheimpflug:
         haze = self.lens * (HAZE_REST + (HAZE_DENTED - HAZE_REST) * dent)
         top = self.row_from(self.row_of(self.surface.height[k], retreat))
         lit = self.height
-        # between two rays place in the lit plane goes evenly with the row; straight on before the first, beyond the last
+        # between two rays place in the lit plane goes evenly with the row; straight on before the first, beyond the
+        # last
         n = 0
         row, following, start, rate = self.between_rays(k, n, retreat)
         for i in range(self.height):
@@ -250,12 +264,17 @@ class Scheimpflug:
 
     @ti.func
     def between_rays(self, k, n, retreat):
-        """Rows of the n-th ray of the k-th radius and of the next, the (x, z) that the first shows, and its change per row."""
+        """Rows of the n-th ray of the k-th radius and of the next, the (x, z) that the first shows, and its change per
+        row."""
         a = self.surface.behind[k, n]
         b = self.surface.behind[k, n + 1]
         rate = (b - a) * (self.pixel_y / ti.max(a[0] - b[0], 1e-9))
-        return (self.row_of(a[0], retreat), self.row_of(b[0], retreat), ti.Vector([a[1], a[2]]),
-                ti.Vector([rate[1], rate[2]]))
+        return (
+            self.row_of(a[0], retreat),
+            self.row_of(b[0], retreat),
+            ti.Vector([a[1], a[2]]),
+            ti.Vector([rate[1], rate[2]]),
+        )
 
     @ti.func
     def scenery_at(self, x, z):
@@ -266,8 +285,9 @@ class Scheimpflug:
         k = ti.max(ti.cast(v, ti.i32), 0)
         p = u - i
         q = v - k
-        return ((1.0 - q) * ((1.0 - p) * self.scenery[i, k] + p * self.scenery[i + 1, k])
-                + q * ((1.0 - p) * self.scenery[i, k + 1] + p * self.scenery[i + 1, k + 1]))
+        return (1.0 - q) * ((1.0 - p) * self.scenery[i, k] + p * self.scenery[i + 1, k]) + q * (
+            (1.0 - p) * self.scenery[i, k + 1] + p * self.scenery[i + 1, k + 1]
+        )
 
 
 def grey_levels(level: float, quantile: np.ndarray) -> np.ndarray:
@@ -324,6 +344,9 @@ def scenery() -> np.ndarray:
     margin = 1.0 / (1.0 + np.exp(-(x - IRIS_PUPIL_MM - 0.15) / 0.12))
     iris = lit * margin * (14.0 + 78.0 * outwards**1.3)
     above = z - (LENS_POLE_MM - 0.5 * x**2 / LENS_RADIUS_MM)
-    haze = np.exp(-0.5 * (x / LENS_SIGMA_MM[0]) ** 2 - 0.5 * (np.maximum(above, 0.0) / LENS_SIGMA_MM[1]) ** 2
-                  + np.minimum(above, 0.0) / LENS_DECAY_MM)
+    haze = np.exp(
+        -0.5 * (x / LENS_SIGMA_MM[0]) ** 2
+        - 0.5 * (np.maximum(above, 0.0) / LENS_SIGMA_MM[1]) ** 2
+        + np.minimum(above, 0.0) / LENS_DECAY_MM
+    )
     return np.stack([iris, haze], axis=-1)

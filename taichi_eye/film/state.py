@@ -1,8 +1,10 @@
 """What the renderer sees at a frame time."""
+
 from dataclasses import dataclass
 
 import numpy as np
-import taichi as ti
+
+from taichi_eye.lang import ti
 
 
 @dataclass

@@ -1,14 +1,15 @@
 """Images cut into strips, one strip to a turn of a parallel loop.
 
-Taichi hands a CPU thread at least 512 turns of a loop at once, more than an image has rows or columns. A strip therefore has
-as many turns and is drawn in the first of them, by plain loops that keep what a column or a row has in common in registers.
-On a GPU a strip is one row or column, and every turn draws.
+Taichi hands a CPU thread at least 512 turns of a loop at once, more than an image has rows or columns. A strip
+therefore has as many turns and is drawn in the first of them, by plain loops that keep what a column or a row has in
+common in
+registers. On a GPU a strip is one row or column, and every turn draws.
 """
-import taichi as ti
 
 from taichi_eye.backend import on_cpu
+from taichi_eye.lang import ti
 
-GRAIN = 512       # a power of two
+GRAIN = 512  # a power of two
 STRIPS = 8
 
 

@@ -14,24 +14,25 @@ thickness there) is found by secants. For a flat surface apparent/true depth is
 tan(asin(sin(angle)/n))/tan(angle).
 
 What lies deeper, iris and lens, is seen through the same surface: further rays of a column, each entering a little
-further down, give P over the apparent height by linear interpolation. The aqueous humour counts as cornea there (1.336 against
-1.376: 3 % of the depth).
+further down, give P over the apparent height by linear interpolation. The aqueous humour counts as cornea there (1.336
+against 1.376: 3 % of the depth).
 """
+
 from math import ceil, cos, radians, sin, sqrt
 
 import numpy as np
-import taichi as ti
 
 from taichi_eye.backend import real
 from taichi_eye.eye.section import Section
 from taichi_eye.eye.thickness import thickness
+from taichi_eye.lang import ti
 
-SLOPE_MAX = 4.0        # dz/dr beyond which the table no longer follows an overhang
-POSTERIOR_STEPS = 12   # fixed point on the normal's foot; contracts by thickness over radius of curvature
+SLOPE_MAX = 4.0  # dz/dr beyond which the table no longer follows an overhang
+POSTERIOR_STEPS = 12  # fixed point on the normal's foot; contracts by thickness over radius of curvature
 SECANT_STEPS = 8
-TOLERANCE = 1e-6       # of both, in thicknesses
+TOLERANCE = 1e-6  # of both, in thicknesses
 RAYS, RAY_STEP = 7, 0.5e-3  # rays of a column behind the posterior surface, and between their entry points [m]
-MARGIN_MM = 2.0        # table beyond what is drawn: entry points and feet of normals lie outside their column
+MARGIN_MM = 2.0  # table beyond what is drawn: entry points and feet of normals lie outside their column
 
 
 @ti.data_oriented
@@ -40,8 +41,8 @@ class Surface:
 
     Fields: height [m], slope [-] and posterior [m] (true height) of shape [count], apparent [m] of shape
     [columns], which reaches as far as the frame does, and behind, [columns, RAYS] vectors (a, x, z) [m]: at the
-    apparent height a, which falls from ray to ray, the camera sees the point (x, z) of the lit plane; z from the limbus plane, all even in x. Beyond the
-    limbus the surface goes on straight, at the slope of the undeformed cap.
+    apparent height a, which falls from ray to ray, the camera sees the point (x, z) of the lit plane; z from the limbus
+    plane, all even in x. Beyond the limbus the surface goes on straight, at the slope of the undeformed cap.
     """
 
     def __init__(self, scene):
@@ -157,8 +158,12 @@ class Surface:
                 u = ti.math.clamp(u - gap / ti.max(run, 1e-3 * chord), 0.0, 1.0)
                 run = hermite_rate(u, a[0], b[0], ma[0], mb[0])
             rise = hermite_rate(u, a[1], b[1], ma[1], mb[1])
-            result = ti.Vector([hermite(u, a[1], b[1], ma[1], mb[1]),
-                                ti.math.clamp(rise / ti.max(run, 1e-3 * chord), -SLOPE_MAX, SLOPE_MAX)])
+            result = ti.Vector(
+                [
+                    hermite(u, a[1], b[1], ma[1], mb[1]),
+                    ti.math.clamp(rise / ti.max(run, 1e-3 * chord), -SLOPE_MAX, SLOPE_MAX),
+                ]
+            )
         return result
 
     @ti.func
@@ -215,4 +220,3 @@ def hermite(u, a, b, ma, mb):
 def hermite_rate(u, a, b, ma, mb):
     """Derivative of `hermite` in u."""
     return ma + u * (2.0 * (3.0 * (b - a) - 2.0 * ma - mb) + 3.0 * u * (2.0 * (a - b) + ma + mb))
-

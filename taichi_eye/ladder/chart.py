@@ -1,12 +1,14 @@
 """`taichi-eye chart SCENE`: rungs and settings side by side, wall time against error.
 
-Errors are against a converged reference of the same scene: `mfpm` extrapolated to h -> 0 and c -> infinity from the finest
-triple (h, c), (h sqrt 2, c), (h sqrt 2, c/2) that the budget paid for, and the next coarser triple says how well converged
-that is. A point's error is the largest of peak, 50 % times and whole history (`taichi_eye.ladder.misfit`), in percent.
+Errors are against a converged reference of the same scene: `mfpm` extrapolated to h -> 0 and c -> infinity from the
+finest triple (h, c), (h sqrt 2, c), (h sqrt 2, c/2) that the budget paid for, and the next coarser triple says how well
+converged that is. A point's error is the largest of peak, 50 % times and whole history (`taichi_eye.ladder.misfit`), in
+percent.
 
-Points run cheapest first and are kept in chart.json as they finish, so a chart can be interrupted and resumed; a point whose
-predicted time does not fit what is left of the budget is passed over.
+Points run cheapest first and are kept in chart.json as they finish, so a chart can be interrupted and resumed; a point
+whose predicted time does not fit what is left of the budget is passed over.
 """
+
 import json
 import math
 import time
@@ -37,11 +39,20 @@ def settings() -> list[Setting]:
     found += [Setting("mfpm", h, c) for c in (10.0, 20.0, 40.0) for h in SPACINGS[:3]]
     found += [Setting("mfpm", h, 80.0) for h in SPACINGS[:4]]
     found += [Setting("mfpm", 0.1414, 40.0)]
-    found += [Setting("mfpm", h, c, 5.0 * c) for h, c in ((0.4, 20.0), (0.2828, 20.0), (0.2, 20.0), (0.2, 32.0), (0.1414, 32.0))]
-    found += [Setting("mfpm", 0.2, 40.0, **change) for change in (
-        {"cfl": 0.4}, {"coupling": "loose"}, {"basis": "cubic"}, {"precision": "f32"}, {"threads": 1})]
-    found += [Setting("mfpm", 0.2, 160.0), Setting("mfpm", 0.1, 40.0), Setting("mfpm", 0.1414, 160.0),
-              Setting("mfpm", 0.1, 80.0)]
+    found += [
+        Setting("mfpm", h, c, 5.0 * c)
+        for h, c in ((0.4, 20.0), (0.2828, 20.0), (0.2, 20.0), (0.2, 32.0), (0.1414, 32.0))
+    ]
+    found += [
+        Setting("mfpm", 0.2, 40.0, **change)
+        for change in ({"cfl": 0.4}, {"coupling": "loose"}, {"basis": "cubic"}, {"precision": "f32"}, {"threads": 1})
+    ]
+    found += [
+        Setting("mfpm", 0.2, 160.0),
+        Setting("mfpm", 0.1, 40.0),
+        Setting("mfpm", 0.1414, 160.0),
+        Setting("mfpm", 0.1, 80.0),
+    ]
     known = {setting.label for setting in found}
     return found + [setting for level in LEVELS for setting in triple(*level) if setting.label not in known]
 
@@ -60,8 +71,9 @@ class Chart:
         self.errors: dict[str, Misfit] = {}
         if self.reference is not None:
             # an unfinished run has no error
-            self.errors = {label: misfit(point.traces, self.reference) for label, point in self.points.items()
-                           if not point.stopped}
+            self.errors = {
+                label: misfit(point.traces, self.reference) for label, point in self.points.items() if not point.stopped
+            }
 
     def error(self, label: str) -> float:
         """Error of a point in percent, as the scene's tolerance means it."""
@@ -78,8 +90,14 @@ class Chart:
 
     def recommended(self) -> dict[float, str | None]:
         """The cheapest point within each tolerance."""
-        return {tolerance: min((label for label in self.errors if self.error(label) <= tolerance),
-                               key=lambda name: self.points[name].whole_s, default=None) for tolerance in TOLERANCES}
+        return {
+            tolerance: min(
+                (label for label in self.errors if self.error(label) <= tolerance),
+                key=lambda name: self.points[name].whole_s,
+                default=None,
+            )
+            for tolerance in TOLERANCES
+        }
 
     def exponents(self) -> dict[str, float]:
         """Measured powers: of the solver's time in 1/h and in nodes, of the errors in h and in 1/c."""
@@ -87,8 +105,10 @@ class Chart:
         for c in (40.0, 80.0):
             line = [point for h in SPACINGS if (point := self.points.get(Setting("mfpm", h, c).label))]
             if len(line) > 2:
-                h, nodes, seconds = (np.array([get(point) for point in line]) for get in (
-                    lambda p: p.setting.spacing_mm, lambda p: p.nodes, lambda p: p.solver_s))
+                h, nodes, seconds = (
+                    np.array([get(point) for point in line])
+                    for get in (lambda p: p.setting.spacing_mm, lambda p: p.nodes, lambda p: p.solver_s)
+                )
                 found[f"mfpm c {c:g}: time in 1/h"] = -slope(h, seconds)
                 found[f"mfpm c {c:g}: time per step in nodes"] = slope(nodes, seconds / [p.steps for p in line])
                 found |= _order(f"mfpm c {c:g}: error in h", line)
@@ -97,18 +117,22 @@ class Chart:
             if len(line) > 2:
                 found[f"{rung}: time in 1/h"] = -slope([p.setting.spacing_mm for p in line], [p.solver_s for p in line])
                 found |= _order(f"{rung}: error in h", line)
-        line = [point for c in (10.0, 20.0, 40.0, 80.0, 160.0) if (point := self.points.get(Setting("mfpm", 0.2, c).label))]
+        line = [
+            point for c in (10.0, 20.0, 40.0, 80.0, 160.0) if (point := self.points.get(Setting("mfpm", 0.2, c).label))
+        ]
         if len(line) > 3:
             stiff = extrapolate(line[-1].traces, line[-2].traces, 2.0)
-            found["mfpm h 0.2: error in 1/c"] = -slope([p.setting.sound_speed_m_s for p in line[:-1]],
-                                                       [misfit(p.traces, stiff).history for p in line[:-1]])
+            found["mfpm h 0.2: error in 1/c"] = -slope(
+                [p.setting.sound_speed_m_s for p in line[:-1]], [misfit(p.traces, stiff).history for p in line[:-1]]
+            )
         return found
 
     def shares(self) -> dict[str, dict[str, float]]:
         """The error of each point by source, in percent of the apex's peak at the worst instant.
 
-        model: of a rung's own limit h -> 0 against the reference; space: against that limit; for mfpm space and sound speed
-        by halving the square of h and c, scaled to the point by their second order; time and coupling: what halving cfl
+        model: of a rung's own limit h -> 0 against the reference; space: against that limit; for mfpm space and sound
+        speed by halving the square of h and c, scaled to the point by their second order; time and coupling: what
+        halving cfl
         and iterating changes at the setting they were tried at.
         """
         found: dict[str, dict[str, float]] = {}
@@ -118,15 +142,23 @@ class Chart:
                 continue
             own = _own_limit(line)
             for point in line:
-                found[point.setting.label] = {"model": misfit(own, self.reference).history,
-                                              "space": misfit(point.traces, own).history}
+                found[point.setting.label] = {
+                    "model": misfit(own, self.reference).history,
+                    "space": misfit(point.traces, own).history,
+                }
         pairs = self._mfpm_pairs()
         for label, point in self.points.items():
             setting = point.setting
-            if setting.fidelity == "mfpm" and pairs and label == Setting(
-                    "mfpm", setting.spacing_mm, setting.sound_speed_m_s).label:
+            if (
+                setting.fidelity == "mfpm"
+                and pairs
+                and label == Setting("mfpm", setting.spacing_mm, setting.sound_speed_m_s).label
+            ):
                 space, sound = pairs
-                found[label] = {"space": space * setting.spacing_mm**2, "sound speed": sound / setting.sound_speed_m_s**2}
+                found[label] = {
+                    "space": space * setting.spacing_mm**2,
+                    "sound speed": sound / setting.sound_speed_m_s**2,
+                }
         base = self.points.get(BASE.label)
         for name, change in (("time", {"cfl": 0.4}), ("coupling", {"coupling": "loose"})):
             other = self.points.get(Setting("mfpm", 0.2, 40.0, **change).label)
@@ -145,11 +177,16 @@ class Chart:
 
     def as_dict(self) -> dict:
         """All figures for the JSON file, points with their traces."""
-        return {"scene": dump_scene(self.scene), "reference": {"level": self.level, "uncertainty_percent": self.uncertainty},
-                "points": [point.as_dict() for point in self.points.values()],
-                "errors_percent": {label: error.as_dict() for label, error in self.errors.items()},
-                "front": self.front(), "recommended": {f"{t:g} %": label for t, label in self.recommended().items()},
-                "exponents": self.exponents(), "shares_percent": self.shares()}
+        return {
+            "scene": dump_scene(self.scene),
+            "reference": {"level": self.level, "uncertainty_percent": self.uncertainty},
+            "points": [point.as_dict() for point in self.points.values()],
+            "errors_percent": {label: error.as_dict() for label, error in self.errors.items()},
+            "front": self.front(),
+            "recommended": {f"{t:g} %": label for t, label in self.recommended().items()},
+            "exponents": self.exponents(),
+            "shares_percent": self.shares(),
+        }
 
 
 def slope(x, y) -> float:
@@ -176,20 +213,27 @@ def read(folder: Path, scene: Scene) -> dict[str, Point]:
         plain = json.loads(path.read_text(encoding="utf-8"))
         points = [Point.from_dict(point) for point in plain["points"]]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise SceneError(f"--resume {folder}: chart.json there cannot be read ({error}); name the folder of an interrupted "
-                         "chart") from None
+        raise SceneError(
+            f"--resume {folder}: chart.json there cannot be read ({error}); name the folder of an interrupted chart"
+        ) from None
     if plain.get("scene") != dump_scene(scene):
-        raise SceneError(f"--resume {folder}: holds the chart of another scene; name its scene file with the same --set, or "
-                         "leave --resume out")
+        raise SceneError(
+            f"--resume {folder}: holds the chart of another scene; name its scene file with the same --set, or "
+            "leave --resume out"
+        )
     return {point.setting.label: point for point in points}
 
 
-def measure(scene: Scene, folder: Path, points: dict[str, Point], budget_s: float, tell=lambda label, done, total: None) -> Chart:
+def measure(
+    scene: Scene, folder: Path, points: dict[str, Point], budget_s: float, tell=lambda label, done, total: None
+) -> Chart:
     """Run what is missing of a chart within the budget [s]; chart.json in `folder` is rewritten after each point."""
     started = time.perf_counter()
     todo = [setting for setting in settings() if setting.label not in points]
     # one precision and thread count after the other: each change starts Taichi afresh
-    todo.sort(key=lambda setting: (setting.precision != "f64", setting.threads or 0, expected_s(setting, points, scene)))
+    todo.sort(
+        key=lambda setting: (setting.precision != "f64", setting.threads or 0, expected_s(setting, points, scene))
+    )
     passed_over = []
     for index, setting in enumerate(todo):
         tell(setting.label, index, len(todo))
@@ -210,15 +254,22 @@ def measure(scene: Scene, folder: Path, points: dict[str, Point], budget_s: floa
 
 
 def expected_s(setting: Setting, points: dict[str, Point], scene: Scene) -> float:
-    """Predicted time [s] to measure a point, repeats and compilation included; by an mfpm point already there, if any."""
+    """Predicted time [s] to measure a point, repeats and compilation included; by an mfpm point already there, if
+    any."""
     duration = scene.numerics.duration_ms / 32.0
     if setting.fidelity != "mfpm":
         return duration * (0.5 + (0.02 if setting.fidelity == "added_mass" else 0.002) / setting.spacing_mm**2)
-    work = (setting.sound_speed_m_s / setting.spacing_mm**3) * (0.8 / (setting.cfl or 0.8)) * (
-        2.5 if setting.basis == "cubic" else 1.0)
+    work = (
+        (setting.sound_speed_m_s / setting.spacing_mm**3)
+        * (0.8 / (setting.cfl or 0.8))
+        * (2.5 if setting.basis == "cubic" else 1.0)
+    )
     rate = RATE
-    alike = [point for point in points.values() if point.setting.fidelity == "mfpm"
-             and point.setting.sound_speed_m_s and point.setting.sound_speed_m_s >= 40.0]
+    alike = [
+        point
+        for point in points.values()
+        if point.setting.fidelity == "mfpm" and point.setting.sound_speed_m_s and point.setting.sound_speed_m_s >= 40.0
+    ]
     if alike:
         last = alike[-1]
         rate = last.whole_s / duration / (last.setting.sound_speed_m_s / last.setting.spacing_mm**3)

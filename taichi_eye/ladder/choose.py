@@ -1,28 +1,32 @@
 """`numerics.fidelity = "auto"`: the cheapest rung and settings that keep a scene within its tolerance.
 
-The estimates are computed for the scene at hand, cheapest first, and the climb ends at the first rung that they let pass;
-where a pilot is already the run that was asked for, it is the run. All in percent of the quantities of
+The estimates are computed for the scene at hand, cheapest first, and the climb ends at the first rung that they let
+pass; where a pilot is already the run that was asked for, it is the run. All in percent of the quantities of
 `taichi_eye.ladder.misfit`, each pair of pilots differing in one thing:
 
-    space       cavity with 32 elements against 8: a fifteenth of their difference is the error of the 32, and goes as h^2.
-                All rungs carry the membrane's error, which dominates. Once inertia counts, thin-layer runs with 16 and 8
-                take their place.
-    inertia     thin-layer flow (`taichi_eye.solver.potential`) in the chamber at rest against cavity, both with 8 elements.
-    IOP         of `membrane` in a sealed chamber: the pressure's rise over the puff's.
-    map's age   of `added_mass`: thin layer with 8 elements refreshed at 0.5 spacings against 0.25, which goes with the travel;
-                doubled, as on short puffs it came out half of what it was.
-    map's grid  of `added_mass`, and as much of `mfpm`: `MAP_SHARE` of the inertia at 0.4 mm, as h^2. Measured on 10 ms puffs against maps on fine
-                clouds: 5 % of the inertia with the eye's own aqueous humour, 18 % with one three times as dense.
+    space       cavity with 32 elements against 8: a fifteenth of their difference is the error of the 32, and goes as
+                h^2. All rungs carry the membrane's error, which dominates. Once inertia counts, thin-layer runs with 16
+                and
+                8 take their place.
+    inertia     thin-layer flow (`taichi_eye.solver.potential`) in the chamber at rest against cavity, both with 8
+    elements. IOP         of `membrane` in a sealed chamber: the pressure's rise over the puff's.
+    map's age   of `added_mass`: thin layer with 8 elements refreshed at 0.5 spacings against 0.25, which goes with the
+                travel; doubled, as on short puffs it came out half of what it was.
+    map's grid  of `added_mass`, and as much of `mfpm`: `MAP_SHARE` of the inertia at 0.4 mm, as h^2. Measured on 10 ms
+                puffs against maps on fine clouds: 5 % of the inertia with the eye's own aqueous humour, 18 % with one
+                three times as dense.
     viscosity   of every rung but `mfpm`: what the flow of the thin layer would lose to viscosity, over the puff's work.
-    sound speed of `mfpm`: cavity that yields as the liquid does at c = 40 m/s against one that does not, which goes as c^-2
+    sound speed of `mfpm`: cavity that yields as the liquid does at c = 40 m/s against one that does not, which goes as
+    c^-2
                 with the sound speed of the mean pressure, up to STIFFER times that of the waves; and of the waves
                 `WAVE_SHARE` of the inertia at 20 m/s, as c^-2 (the modes of the cylinder of `taichi-eye verify` are
                 1.1 % low there, so the added mass is 2 % high).
 
-`MARGIN` is kept free for what is not estimated. A rung whose pilot leaves its validity (a slack cornea, a cornea at the back
-of the chamber) is refused with its reason; the last rung is never refused: it stops by itself. A thin layer of 8 elements
-that blows up only says that inertia counts.
+`MARGIN` is kept free for what is not estimated. A rung whose pilot leaves its validity (a slack cornea, a cornea at the
+back of the chamber) is refused with its reason; the last rung is never refused: it stops by itself. A thin layer of 8
+elements that blows up only says that inertia counts.
 """
+
 import math
 import time
 from dataclasses import dataclass, field, replace
@@ -40,11 +44,18 @@ from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
 PILOT = 8  # elements of the coarsest pilots
 OFFERED = 4 * PILOT  # of the coarsest uniform rung offered: it costs 10 ms, and fewer make a film of a polygon
 MARGIN = 0.15  # share of the tolerance that the estimates leave free
-MAP_S, NODE_STEP_S, SAMPLES_S = 5e-3, 9e-8, 0.02  # of a flow map at 0.2 mm, of mfpm a node and step, and its samples per ms
+MAP_S, NODE_STEP_S, SAMPLES_S = (
+    5e-3,
+    9e-8,
+    0.02,
+)  # of a flow map at 0.2 mm, of mfpm a node and step, and its samples per ms
 MAP_SHARE = 0.12  # of the inertia that a flow map at COARSEST_MM gets wrong
 COARSEST_MM, FINEST_MM = 0.4, 0.05  # spacings offered where nodes are packed, and the finest at all
 PILOT_C = 40.0  # m/s
-STIFFER, STIFFEST = 5.0, 160.0  # sound speed of the mean pressure over that of the waves, and in m/s: more costs time steps
+STIFFER, STIFFEST = (
+    5.0,
+    160.0,
+)  # sound speed of the mean pressure over that of the waves, and in m/s: more costs time steps
 WAVE_SHARE = 0.04
 SPEEDS = (20.0, 30.0, 40.0, 60.0, 80.0, 120.0, 160.0)  # m/s, of mfpm
 
@@ -68,9 +79,15 @@ class Choice:
     def as_dict(self) -> dict:
         """For the summary."""
         numerics = self.scene.numerics
-        return {"fidelity": numerics.fidelity, "spacing_mm": numerics.spacing_mm, "reason": self.reason,
-                "sound_speed_m_s": numerics.sound_speed_m_s if numerics.fidelity == "mfpm" else None,
-                "estimates_percent": self.estimates, "refused": self.refused, "pilots_s": round(self.seconds, 4)}
+        return {
+            "fidelity": numerics.fidelity,
+            "spacing_mm": numerics.spacing_mm,
+            "reason": self.reason,
+            "sound_speed_m_s": numerics.sound_speed_m_s if numerics.fidelity == "mfpm" else None,
+            "estimates_percent": self.estimates,
+            "refused": self.refused,
+            "pilots_s": round(self.seconds, 4),
+        }
 
 
 class _Refused(Exception):
@@ -168,8 +185,13 @@ class _Climb:
         if spacing < FINEST_MM:
             return False
         ready = run if spacing == size and rung == "cavity" else None
-        return self._take(rung, spacing, f"inertia {self.inertia:.2g} % and space "
-                          f"{self.choice.estimates[rung]['space']:.2g} % stay within {tolerance:g} %", ready)
+        return self._take(
+            rung,
+            spacing,
+            f"inertia {self.inertia:.2g} % and space "
+            f"{self.choice.estimates[rung]['space']:.2g} % stay within {tolerance:g} %",
+            ready,
+        )
 
     def _added_mass(self) -> bool:
         tolerance = self.numerics.tolerance_percent
@@ -190,8 +212,11 @@ class _Climb:
         travel = min(0.5, float(0.25 * left / max(age * spacing / size, 1e-12))) if left > 0.0 else 0.0
         refined = (spacing / self.size) ** 2
         self.choice.estimates["added_mass"] = errors = {
-            "space": space * refined, "map's grid": grid * refined, "map's age": age * travel * spacing / size,
-            "viscosity": self.viscous}
+            "space": space * refined,
+            "map's grid": grid * refined,
+            "map's age": age * travel * spacing / size,
+            "viscosity": self.viscous,
+        }
         if left <= 0.0 or spacing < FINEST_MM or travel < 0.02:
             return False
         travelled = float(np.abs(np.diff(fine.traces["apex_displacement_mm"])).sum())
@@ -200,27 +225,42 @@ class _Climb:
             self.slow = f"added_mass would take some {maps_s:.2g} s for its flow maps"
             return False
         source = max(errors, key=errors.get)
-        return self._take("added_mass", spacing, f"{self._why_not_cavity()}; {source} {errors[source]:.2g} % and the rest "
-                          f"{sum(errors.values()) - errors[source]:.2g} % stay within {tolerance:g} %", refresh_travel=travel)
+        return self._take(
+            "added_mass",
+            spacing,
+            f"{self._why_not_cavity()}; {source} {errors[source]:.2g} % and the rest "
+            f"{sum(errors.values()) - errors[source]:.2g} % stay within {tolerance:g} %",
+            refresh_travel=travel,
+        )
 
     def _mfpm(self) -> None:
         tolerance = self.numerics.tolerance_percent
         _, c, spacing, error, by_sound = self._mfpm_setting()
         self.choice.estimates["mfpm"] = {"space": error, "sound speed": by_sound}
-        self._take("mfpm", spacing, f"{self._why_not_cavity()}; space {error:.2g} % and c = {c:g} m/s "
-                   f"{by_sound:.2g} %" + ("" if error + by_sound <= tolerance else f" are more than {tolerance:g} %, but "
-                                          "no setting offered does better"), sound_speed_m_s=c,
-                   mean_sound_speed_m_s=_mean_speed(c))
+        self._take(
+            "mfpm",
+            spacing,
+            f"{self._why_not_cavity()}; space {error:.2g} % and c = {c:g} m/s "
+            f"{by_sound:.2g} %"
+            + (
+                ""
+                if error + by_sound <= tolerance
+                else f" are more than {tolerance:g} %, but no setting offered does better"
+            ),
+            sound_speed_m_s=c,
+            mean_sound_speed_m_s=_mean_speed(c),
+        )
 
     def _mfpm_setting(self) -> tuple[float, float, float, float, float]:
-        """The cheapest of SPEEDS with the spacing it leaves: time expected [s], c, spacing [mm], errors by space and sound."""
+        """The cheapest of SPEEDS with the spacing it leaves: time expected [s], c, spacing [mm], errors by space and
+        sound."""
         try:
             volume = Section.from_scene(self.scene).volume()
             give = volume / (self.scene.aqueous.density_kg_m3 * PILOT_C**2) / MM3 * MMHG
-            chamber = replace(self.scene.chamber,
-                              compliance_mm3_mmhg=self.scene.chamber.compliance_mm3_mmhg + give)
-            soft = self._apart(self._pilot("cavity", PILOT, replace(self.scene, chamber=chamber)),
-                               self._pilot("cavity", PILOT))
+            chamber = replace(self.scene.chamber, compliance_mm3_mmhg=self.scene.chamber.compliance_mm3_mmhg + give)
+            soft = self._apart(
+                self._pilot("cavity", PILOT, replace(self.scene, chamber=chamber)), self._pilot("cavity", PILOT)
+            )
         except _Refused:
             soft = 1.0  # what the default eye has
         offered = []
@@ -228,8 +268,16 @@ class _Climb:
             by_sound = self._by_sound(soft, c)
             spacing = min(self._finest(self.space, self.size, self.allowed - by_sound), COARSEST_MM, self._roomiest())
             if spacing >= FINEST_MM:
-                offered.append((self._mfpm_s(c, spacing), c, spacing, self.space * (spacing / self.size) ** 2, by_sound))
-        finest = (math.inf, SPEEDS[-1], FINEST_MM, self.space * (FINEST_MM / self.size) ** 2, self._by_sound(soft, SPEEDS[-1]))
+                offered.append(
+                    (self._mfpm_s(c, spacing), c, spacing, self.space * (spacing / self.size) ** 2, by_sound)
+                )
+        finest = (
+            math.inf,
+            SPEEDS[-1],
+            FINEST_MM,
+            self.space * (FINEST_MM / self.size) ** 2,
+            self._by_sound(soft, SPEEDS[-1]),
+        )
         return min(offered, default=finest)
 
     def _mfpm_s(self, c, spacing) -> float:
@@ -266,16 +314,19 @@ def _mean_speed(c: float) -> float:
 def viscous_share(run: Reduced) -> float:
     """What the flow under a finished run's wall loses to viscosity, in percent of the puff's work.
 
-    The liquid moves radially at U(r, t), one speed over the depth, as continuity asks. Under slip walls its strain rates
-    lose 2 mu (U_r^2 + U^2/r^2 + (U_r + U/r)^2) per volume; at a no-slip wall a Stokes layer (nu t)^1/2 thick, t the time in
-    which the flow changes, but no thicker than a sixth of the depth, loses mu U^2 over its thickness.
+    The liquid moves radially at U(r, t), one speed over the depth, as continuity asks. Under slip walls its strain
+    rates lose 2 mu (U_r^2 + U^2/r^2 + (U_r + U/r)^2) per volume; at a no-slip wall a Stokes layer (nu t)^1/2 thick, t
+    the
+    time in which the flow changes, but no thicker than a sixth of the depth, loses mu U^2 over its thickness.
     """
     scene = run.scene
     viscosity, density = scene.aqueous.viscosity_mpa_s * MPA_S, scene.aqueous.density_kg_m3
     place, velocity = run.frames[:, :, :2], run.frames[:, :, 2:4]
     edge, middle = np.diff(place, axis=1), 0.5 * (place[:, 1:] + place[:, :-1])
     rise = 0.5 * (velocity[:, 1:] + velocity[:, :-1])
-    swept = np.cumsum(2.0 * np.pi * middle[..., 0] * (rise[..., 1] * edge[..., 0] - rise[..., 0] * edge[..., 1]), axis=1)
+    swept = np.cumsum(
+        2.0 * np.pi * middle[..., 0] * (rise[..., 1] * edge[..., 0] - rise[..., 0] * edge[..., 1]), axis=1
+    )
     r = place[:, 1:, 0]
     depth = np.maximum(place[:, 1:, 1] - run.section.back_height(r), 0.02 * MM)
     # the rim, where depth and flow vanish together, is left out

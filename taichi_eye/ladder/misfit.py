@@ -1,4 +1,5 @@
 """How far one run of a scene is from another: the quantities of interest that a tolerance holds for."""
+
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -10,9 +11,10 @@ from taichi_eye.report.history import summarise
 class Misfit:
     """Errors in percent.
 
-    peak: of the apex displacement; half_times: the later of the two shifts of the 50 % times over the width at half height;
-    history: largest difference at any time over the peak; rms: the same, root mean square; pressure: largest difference of
-    the pressure under the apex over its largest excess.
+    peak: of the apex displacement; half_times: the later of the two shifts of the 50 % times over the width at half
+    height; history: largest difference at any time over the peak; rms: the same, root mean square; pressure: largest
+    difference
+    of the pressure under the apex over its largest excess.
     """
 
     peak: float
@@ -49,14 +51,29 @@ def misfit(traces, reference) -> Misfit:
     elif found.fwhm_ms is None:
         half = 1.0
     else:
-        half = max(abs(found.rise_time_ms - true.rise_time_ms), abs(found.fall_time_ms - true.fall_time_ms)) / true.fwhm_ms
-    return Misfit(*(100.0 * float(value) for value in (
-        abs(found.peak - true.peak) / top, half, apart.max(), np.sqrt((apart**2).mean()),
-        np.abs(pressure - pressure0).max() / rise)))
+        half = (
+            max(abs(found.rise_time_ms - true.rise_time_ms), abs(found.fall_time_ms - true.fall_time_ms)) / true.fwhm_ms
+        )
+    return Misfit(
+        *(
+            100.0 * float(value)
+            for value in (
+                abs(found.peak - true.peak) / top,
+                half,
+                apart.max(),
+                np.sqrt((apart**2).mean()),
+                np.abs(pressure - pressure0).max() / rise,
+            )
+        )
+    )
 
 
 def extrapolate(fine, coarse, ratio: float, order: float = 2.0) -> dict[str, np.ndarray]:
     """Richardson's limit of two runs whose error goes as size^order; ratio: coarse size over fine size, above 1."""
     share = 1.0 / (ratio**order - 1.0)
-    return {name: np.asarray(fine[name]) + share * (np.asarray(fine[name]) - np.asarray(coarse[name]))
-            if name in ("apex_displacement_mm", "fluid_pressure_apex_kpa") else np.asarray(fine[name]) for name in fine}
+    return {
+        name: np.asarray(fine[name]) + share * (np.asarray(fine[name]) - np.asarray(coarse[name]))
+        if name in ("apex_displacement_mm", "fluid_pressure_apex_kpa")
+        else np.asarray(fine[name])
+        for name in fine
+    }

@@ -1,4 +1,5 @@
 """One scene under one setting of the ladder: run, timed and kept."""
+
 import gc
 import time
 from dataclasses import asdict, dataclass
@@ -46,8 +47,11 @@ class Setting:
 
     def applied(self, scene: Scene) -> Scene:
         """The scene under this setting."""
-        own = {name: value for name, value in asdict(self).items()
-               if value is not None and name not in ("precision", "threads")}
+        own = {
+            name: value
+            for name, value in asdict(self).items()
+            if value is not None and name not in ("precision", "threads")
+        }
         return with_numerics(scene, **own)
 
 
@@ -56,7 +60,8 @@ class Point:
     """A finished run.
 
     traces: time, apex displacement, pressure under the apex; whole_s, solver_s: median wall time of packing, set-up and
-    solver, and of the solver alone, warm, over `repeats` runs; nodes, steps: of the run; stopped: why it ended early, or "".
+    solver, and of the solver alone, warm, over `repeats` runs; nodes, steps: of the run; stopped: why it ended early,
+    or "".
     """
 
     setting: Setting
@@ -75,21 +80,26 @@ class Point:
     @classmethod
     def from_dict(cls, plain: dict) -> "Point":
         """A point that `as_dict` wrote."""
-        return cls(**{**plain, "setting": Setting(**plain["setting"]),
-                      "traces": {name: np.array(column) for name, column in plain["traces"].items()}})
+        return cls(
+            **{
+                **plain,
+                "setting": Setting(**plain["setting"]),
+                "traces": {name: np.array(column) for name, column in plain["traces"].items()},
+            }
+        )
 
 
 def run_point(scene: Scene, setting: Setting, repeats: int | None = None) -> Point:
     """Run a scene under a setting until its times are settled: 5 runs of up to 0.3 s, 3 of up to 2 s, else one.
 
-    A run of `WARM_UP_MS` goes before, which compiles what is not compiled yet. Raises SceneError where the scene cannot be
-    discretised so.
+    A run of `WARM_UP_MS` goes before, which compiles what is not compiled yet. Raises SceneError where the scene cannot
+    be discretised so.
     """
     backend.init(precision=setting.precision, threads=setting.threads)
     applied = setting.applied(scene)
     _try(with_numerics(applied, duration_ms=min(WARM_UP_MS, applied.numerics.duration_ms)))
-    times = []
-    while not times or len(times) < wanted:
+    times, wanted = [], 1
+    while len(times) < wanted:
         simulation, whole, solver, stopped = _try(applied)
         times.append((whole, solver))
         wanted = repeats or (5 if whole < 0.3 else 3 if whole < 2.0 else 1)
@@ -100,8 +110,16 @@ def run_point(scene: Scene, setting: Setting, repeats: int | None = None) -> Poi
         del simulation
         gc.collect()
     whole, solver = np.median(np.array(times), axis=0)
-    return Point(setting, {name: np.asarray(traces[name]) for name in KEPT}, float(whole), float(solver), len(times),
-                 nodes, steps, stopped)
+    return Point(
+        setting,
+        {name: np.asarray(traces[name]) for name in KEPT},
+        float(whole),
+        float(solver),
+        len(times),
+        nodes,
+        steps,
+        stopped,
+    )
 
 
 def _try(scene):
@@ -119,18 +137,24 @@ def _try(scene):
 
 
 def triple(spacing_mm: float, sound_speed_m_s: float) -> tuple[Setting, Setting, Setting]:
-    """The three `mfpm` settings that `limit` takes: (h, c), (h sqrt 2, c), (h sqrt 2, c / 2), h below the first SPACINGS."""
+    """The three `mfpm` settings that `limit` takes: (h, c), (h sqrt 2, c), (h sqrt 2, c / 2), h below the first
+    SPACINGS."""
     coarse = SPACINGS[SPACINGS.index(spacing_mm) - 1]
-    return (Setting("mfpm", spacing_mm, sound_speed_m_s), Setting("mfpm", coarse, sound_speed_m_s),
-            Setting("mfpm", coarse, sound_speed_m_s / 2.0))
+    return (
+        Setting("mfpm", spacing_mm, sound_speed_m_s),
+        Setting("mfpm", coarse, sound_speed_m_s),
+        Setting("mfpm", coarse, sound_speed_m_s / 2.0),
+    )
 
 
 def limit(fine: Point, coarse: Point, soft: Point) -> dict[str, np.ndarray]:
     """The history for h -> 0 and c -> infinity from a finished `triple`: both errors are of second order."""
     spaced = extrapolate(fine.traces, coarse.traces, 2.0**0.5)
     stiff = extrapolate(coarse.traces, soft.traces, 2.0)
-    return {name: column if name == "time_ms" else column + stiff[name] - coarse.traces[name]
-            for name, column in spaced.items()}
+    return {
+        name: column if name == "time_ms" else column + stiff[name] - coarse.traces[name]
+        for name, column in spaced.items()
+    }
 
 
 def finest_limit(points: dict[str, Point], levels) -> tuple[dict[str, np.ndarray] | None, tuple | None, dict | None]:

@@ -7,10 +7,11 @@ an entry >= 0 is node j itself, an entry -1 - j is its image (see `image_of`).
 Several eyes stand one after the other in the same fields: eye e owns the nodes first[e] to first[e] + count[e] - 1 and
 none sees another's. Every index of a node counts over all eyes.
 """
+
 import numpy as np
-import taichi as ti
 
 from taichi_eye.backend import real
+from taichi_eye.lang import ONE_TASK, ti
 
 SAME_DISTANCE = 1.0 + 1e-5  # ratio of squared distances that counts as a tie
 
@@ -77,7 +78,7 @@ class NeighbourLists:
     @ti.kernel
     def _enclose(self, points: ti.template(), first: int, count: int, box: ti.types.ndarray()):
         ti.loop_config(serialize=True)
-        for once in range(1):
+        for _ in range(ONE_TASK):
             low, high = points[first], points[first]
             for i in range(first, first + count):
                 low, high = ti.min(low, points[i]), ti.max(high, points[i])
@@ -85,10 +86,20 @@ class NeighbourLists:
                 box[a], box[2 + a] = low[a], high[a]
 
     @ti.kernel
-    def _bin(self, points: ti.template(), eye: int, first: int, count: int, r0: float, z0: float, size: float,
-             columns: int, rows: int):
+    def _bin(
+        self,
+        points: ti.template(),
+        eye: int,
+        first: int,
+        count: int,
+        r0: float,
+        z0: float,
+        size: float,
+        columns: int,
+        rows: int,
+    ):
         ti.loop_config(serialize=True)
-        for once in range(1):
+        for _ in range(ONE_TASK):
             self.first[eye], self.count[eye], self.total[None] = first, count, first + count
             for i in range(first, first + count):
                 self.eye_of[i] = eye
@@ -154,8 +165,13 @@ class NeighbourLists:
     def with_ties(self, i, wanted):
         """The least number of entries >= wanted that leaves out none as far away as the last one taken."""
         taken = ti.min(wanted, self.found[i])
-        while taken < self.found[i] and taken > 0 and (
+        while (
+            taken < self.found[i]
+            and taken > 0
+            and (
                 self.distance2[i, ti.min(taken, self.width - 1)]
-                <= self.distance2[i, ti.max(taken - 1, 0)] * SAME_DISTANCE):
+                <= self.distance2[i, ti.max(taken - 1, 0)] * SAME_DISTANCE
+            )
+        ):
             taken += 1
         return taken

@@ -28,19 +28,23 @@ cubic gradients it has growing modes in the limbus wedge (up to 0.02 c/h). It is
 what belongs to a neighbour is put together once, where the neighbour is, and one weight serves all its parts. Equal to
 the sum above to rounding (at most 3e-14 of the apex history); x are the places that the weights were computed for.
 
-Speed (`taichi-eye bench --only step`; here in cycles a node of one thread of an EPYC, by the processor's counters, since
-clocks on a shared machine are no guide; 16093 nodes). A time step is two passes over the stencils, each reading its
-weights once and gathering pressure and velocity together: 130 + 140, beside 130 of a bare gather; with products of weight
-and distance d stored and each neighbour's gradients multiplied by them it took 180 + 195. Rows without images skip their
-decoding. Sums are four numbers wide and kept by component, so that LLVM's vectoriser takes them: with one number in four
-left unread it gives up, 590 instructions against 430. What did not pay: dissipation and Laplacian weights in f32 (their
+Speed (`taichi-eye bench --only step`; here in cycles a node of one thread of an EPYC, by the processor's counters,
+since clocks on a shared machine are no guide; 16093 nodes). A time step is two passes over the stencils, each reading
+its
+weights once and gathering pressure and velocity together: 130 + 140, beside 130 of a bare gather; with products of
+weight and distance d stored and each neighbour's gradients multiplied by them it took 180 + 195. Rows without images
+skip
+their decoding. Sums are four numbers wide and kept by component, so that LLVM's vectoriser takes them: with one number
+in
+four left unread it gives up, 590 instructions against 430. What did not pay: dissipation and Laplacian weights in f32
+(their
 conversion costs what their memory saves, 112 against 99 for a bare gather), all weights of an entry in one vector (220
-against 127), unrolling 14 neighbours (compiles ten times longer, runs the same). Rows packed one after the other instead
-of WIDTH apart save 15 % of a pass, of the bare gather as well.
+against 127), unrolling 14 neighbours (compiles ten times longer, runs the same). Rows packed one after the other
+instead of WIDTH apart save 15 % of a pass, of the bare gather as well.
 """
-import taichi as ti
 
 from taichi_eye.backend import real
+from taichi_eye.lang import ti
 from taichi_eye.mfpm.neighbours import NeighbourLists, image_of, place_of
 
 TERMS = {"quadratic": 5, "cubic": 9}
@@ -115,7 +119,8 @@ class MfpmOperators:
             self._weights(i, points)
 
     def rebuild(self, points, due=None) -> None:
-        """Compute all weights for the nodes at `points`; the stencils stay. due [eyes]: 1 for the eyes it is done for."""
+        """Compute all weights for the nodes at `points`; the stencils stay. due [eyes]: 1 for the eyes it is done
+        for."""
         self._rebuild(points, self.neighbours.everyone() if due is None else due)
 
     @ti.kernel
@@ -212,7 +217,7 @@ class MfpmOperators:
             derivative = ti.Vector([0.0, 0.0, 0.0, 0.0, 0.0])
             for row in ti.static(range(5)):
                 for b in range(self.terms):
-                    derivative[row] += (self.moment[i, row, b] * self.scale[i, b] * self.basis_value[i, b])
+                    derivative[row] += self.moment[i, row, b] * self.scale[i, b] * self.basis_value[i, b]
                 derivative[row] *= self.scale[i, row] * weight
             gradient = ti.Vector([derivative[0], derivative[1]]) * per_length
             second_r = derivative[2] * per_length * per_length
@@ -288,8 +293,14 @@ class MfpmOperators:
     def row_of_velocity(self, i, f, u, slopes):
         """What `gradient_and_roughness` gathers from node i besides slopes: f, 2 u - slopes . x."""
         x = self.anchor[i]
-        return ti.Vector([f, 2.0 * u[0] - (slopes[0, 0] * x[0] + slopes[0, 1] * x[1]),
-                          2.0 * u[1] - (slopes[1, 0] * x[0] + slopes[1, 1] * x[1]), 0.0])
+        return ti.Vector(
+            [
+                f,
+                2.0 * u[0] - (slopes[0, 0] * x[0] + slopes[0, 1] * x[1]),
+                2.0 * u[1] - (slopes[1, 0] * x[0] + slopes[1, 1] * x[1]),
+                0.0,
+            ]
+        )
 
     @ti.func
     def row_of_scalar(self, i, f, slope):
@@ -356,8 +367,11 @@ class MfpmOperators:
             gradient += ti.Vector([weight[0] * d[0], weight[1] * d[0], weight[0] * d[1], weight[1] * d[1]])
             laplacian += self.laplacian_weight[i, k] * d
             apart += self.pair_weight[i, k] * other
-        return (ti.Matrix([[gradient[0], gradient[1]], [gradient[2], gradient[3]]]), laplacian,
-                self._scalar_roughness(i, here, apart))
+        return (
+            ti.Matrix([[gradient[0], gradient[1]], [gradient[2], gradient[3]]]),
+            laplacian,
+            self._scalar_roughness(i, here, apart),
+        )
 
     @ti.func
     def _scalar_roughness(self, i, here, apart):

@@ -3,6 +3,7 @@
 Modes of (M + rho G N G^T) x'' = -K x with the volume held: K from the cornea's own forces by central differences, G the
 rings' area vectors, N the Neumann-to-Dirichlet matrix of `taichi_eye.solver.potential`.
 """
+
 import numpy as np
 from scipy.linalg import eig, null_space
 
@@ -43,7 +44,7 @@ def frequencies(cloud, thickness, wall_density, material, iop=0.0, count: int = 
     area = np.zeros((free, len(rings)))
     for ring in range(2):
         area[ring::2] = np.diag(rings[:, ring])
-    mass = np.repeat(membrane.cornea.mass.to_numpy()[:len(rings)], 2)
+    mass = np.repeat(membrane.cornea.mass.to_numpy()[: len(rings)], 2)
     inertia = np.diag(mass) + DENSITY * area @ flow.neumann[:-1, :-1] @ area.T
     # the volume is held, and the apex stays on the axis
     held = np.vstack([area.sum(1) / np.abs(area).max(), np.eye(free)[0]])
@@ -69,8 +70,10 @@ def added_mass(quick: bool = False):
     a = EYE["iop"] * radius / (2.0 * EYE["thickness"]) / (2.0 * k * prestrain * np.exp(2.0 * k * prestrain**2))
     section = Section(radius, rim, radius - np.sqrt(radius**2 - rim**2))
     spacings = (0.5e-3, 0.354e-3) if quick else (0.354e-3, 0.2e-3, 0.1e-3)
-    found = [frequencies(pack(section, spacing), EYE["thickness"], EYE["density"], (a, k, 0.0, prestrain), EYE["iop"])
-             for spacing in spacings]
+    found = [
+        frequencies(pack(section, spacing), EYE["thickness"], EYE["density"], (a, k, 0.0, prestrain), EYE["iop"])
+        for spacing in spacings
+    ]
     _add(rows, figures, "added mass, eye at rest", (308.7, 549.8, 803.7), spacings, found, quick)
     return rows, figures
 
@@ -78,8 +81,27 @@ def added_mass(quick: bool = False):
 def _add(rows, figures, problem, exact, spacings, found, quick):
     errors = np.abs(np.array(found) / np.asarray(exact) - 1.0)
     common = order(spacings, np.sqrt((errors**2).mean(1)))
-    rows += [Row(problem, f"mode {m + 1} (Hz)", exact[m], float(found[-1][m]), float(errors[-1, m]), None if quick else 0.005,
-                 common, 1.8, f"spacing {spacings[-1] * 1e3:g} mm; order of the rms over 3 modes") for m in range(3)]
-    figures.append({"title": f"{problem.capitalize()}", "x": "spacing (mm)", "y": "relative error of the frequency",
-                    "log": True, "slope": 2, "lines": [(f"mode {m + 1}", np.asarray(spacings) * 1e3, errors[:, m])
-                                                       for m in range(3)]})
+    rows += [
+        Row(
+            problem,
+            f"mode {m + 1} (Hz)",
+            exact[m],
+            float(found[-1][m]),
+            float(errors[-1, m]),
+            None if quick else 0.005,
+            common,
+            1.8,
+            f"spacing {spacings[-1] * 1e3:g} mm; order of the rms over 3 modes",
+        )
+        for m in range(3)
+    ]
+    figures.append(
+        {
+            "title": f"{problem.capitalize()}",
+            "x": "spacing (mm)",
+            "y": "relative error of the frequency",
+            "log": True,
+            "slope": 2,
+            "lines": [(f"mode {m + 1}", np.asarray(spacings) * 1e3, errors[:, m]) for m in range(3)],
+        }
+    )

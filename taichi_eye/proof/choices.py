@@ -1,9 +1,11 @@
 """`taichi-eye choices`: `numerics.fidelity = "auto"` put to varied scenes.
 
 For each scene and tolerance: what auto picks, its true error against a converged reference, and what it cost, pilots
-included, over the cheapest setting of a grid that would have passed. The reference is `mfpm` extrapolated in h and c; the next
-coarser extrapolation says how uncertain it is. Costs are wall times of packing, set-up and solver, warm, medians.
+included, over the cheapest setting of a grid that would have passed. The reference is `mfpm` extrapolated in h and c;
+the next coarser extrapolation says how uncertain it is. Costs are wall times of packing, set-up and solver, warm,
+medians.
 """
+
 import json
 import statistics
 import time
@@ -38,8 +40,19 @@ PARTS = {
 TOLERANCES = (10.0, 3.0, 1.0)
 LEVELS = ((0.1, 80.0), (0.1414, 80.0), (0.2, 80.0))
 ASKED_RATIO = 1.5
-HEAD = ("scene", "tolerance, %", "auto picks", "true error, %", "reference +-, %", "cost, s", "cheapest that passes", "its cost, s",
-        "ratio", "", "because")
+HEAD = (
+    "scene",
+    "tolerance, %",
+    "auto picks",
+    "true error, %",
+    "reference +-, %",
+    "cost, s",
+    "cheapest that passes",
+    "its cost, s",
+    "ratio",
+    "",
+    "because",
+)
 
 
 @dataclass(frozen=True)
@@ -68,17 +81,26 @@ class Row:
 
     def cells(self) -> tuple:
         """For the table."""
-        return (self.scene, f"{self.tolerance:g}", self.picked, f"{self.error:.2g}", f"{self.uncertainty:.2g}",
-                f"{self.cost_s:.3g}", self.cheapest, f"{self.cheapest_s:.3g}", f"{self.ratio:.2f}",
-                "ok" if self.passed else "MISSED", self.reason)
+        return (
+            self.scene,
+            f"{self.tolerance:g}",
+            self.picked,
+            f"{self.error:.2g}",
+            f"{self.uncertainty:.2g}",
+            f"{self.cost_s:.3g}",
+            self.cheapest,
+            f"{self.cheapest_s:.3g}",
+            f"{self.ratio:.2f}",
+            "ok" if self.passed else "MISSED",
+            self.reason,
+        )
 
 
 def grid() -> list[Setting]:
     """What a user might have set by hand, cheap rungs and coarse settings first."""
     found = [Setting("membrane", 0.2)]
     found += [Setting("cavity", h) for h in SPACINGS[2:5]] + [Setting("added_mass", h) for h in SPACINGS[:4]]
-    return found + [Setting("mfpm", h, c, mean) for h, c, mean in (
-        (0.4, 20.0, 100.0), (0.2, 20.0, 100.0))]
+    return found + [Setting("mfpm", h, c, mean) for h, c, mean in ((0.4, 20.0, 100.0), (0.2, 20.0, 100.0))]
 
 
 def judge(name: str, tell=lambda text: None) -> list[Row]:
@@ -96,8 +118,11 @@ def judge(name: str, tell=lambda text: None) -> list[Row]:
                 points[setting.label] = run_point(scene, setting, repeats=1)
     reference, _, rougher = finest_limit(points, levels)
     uncertainty = misfit(rougher, reference).of("apex")
-    offered = {setting.label: misfit(points[setting.label].traces, reference).of("apex") for setting in grid()
-               if not points[setting.label].stopped}
+    offered = {
+        setting.label: misfit(points[setting.label].traces, reference).of("apex")
+        for setting in grid()
+        if not points[setting.label].stopped
+    }
     rows = []
     for tolerance in TOLERANCES:
         asked = with_numerics(scene, fidelity="auto", tolerance_percent=tolerance)
@@ -110,15 +135,31 @@ def judge(name: str, tell=lambda text: None) -> list[Row]:
         if error <= tolerance:
             passing["auto's own"] = own.whole_s
         cheapest = min(passing, key=passing.get, default="none")
-        rows.append(Row(name, tolerance, choice.reason.split(":")[0], error, uncertainty, cost, cheapest,
-                        passing.get(cheapest, float("inf")), choice.reason))
+        rows.append(
+            Row(
+                name,
+                tolerance,
+                choice.reason.split(":")[0],
+                error,
+                uncertainty,
+                cost,
+                cheapest,
+                passing.get(cheapest, float("inf")),
+                choice.reason,
+            )
+        )
     return rows
 
 
 def _setting_of(choice: Choice) -> Setting:
     numerics = choice.scene.numerics
-    return Setting(numerics.fidelity, numerics.spacing_mm, numerics.sound_speed_m_s, numerics.mean_sound_speed_m_s,
-                   refresh_travel=numerics.refresh_travel)
+    return Setting(
+        numerics.fidelity,
+        numerics.spacing_mm,
+        numerics.sound_speed_m_s,
+        numerics.mean_sound_speed_m_s,
+        refresh_travel=numerics.refresh_travel,
+    )
 
 
 def _timed(scene) -> tuple[Choice, float]:
@@ -146,12 +187,19 @@ def report(only=(), out: str | None = None, json_file: str | None = None) -> boo
             bar.update()
     missed = [index for index, row in enumerate(rows) if not row.passed]
     within = sum(row.error <= row.tolerance for row in rows)
-    verdict = (f"{within} of {len(rows)} choices keep their tolerance; {len(rows) - len(missed)} of {len(rows)} do at no more "
-               f"than {ASKED_RATIO:g} times the least cost")
-    write_page(folder / "choices.html", "taichi-eye choices",
-               [f"<p>{verdict}.</p>", table(HEAD, [row.cells() for row in rows], missed)])
+    verdict = (
+        f"{within} of {len(rows)} choices keep their tolerance; {len(rows) - len(missed)} of {len(rows)} do at no more "
+        f"than {ASKED_RATIO:g} times the least cost"
+    )
+    write_page(
+        folder / "choices.html",
+        "taichi-eye choices",
+        [f"<p>{verdict}.</p>", table(HEAD, [row.cells() for row in rows], missed)],
+    )
     if json_file:
-        write_text(Path(json_file), json.dumps([{**row.__dict__, "ratio": row.ratio, "passed": row.passed} for row in rows],
-                                               indent=2) + "\n")
+        write_text(
+            Path(json_file),
+            json.dumps([{**row.__dict__, "ratio": row.ratio, "passed": row.passed} for row in rows], indent=2) + "\n",
+        )
     print(f"{verdict}; {folder / 'choices.html'}")
     return not missed

@@ -4,17 +4,19 @@
  influences the motion markedly, (v) the intraocular pressure can be estimated from the motion.
 
 Each is a comparison of runs that differ in one thing: the numerical sound speed c, the fluid's density (c goes as its
-inverse root, so that the acoustic stiffness rho c^2 of the chamber stays), its viscosity and wall condition, the mass of
-the cornea, a sealed or an open chamber, the load's time course, the IOP, and the tissue that an examiner does not know.
+inverse root, so that the acoustic stiffness rho c^2 of the chamber stays), its viscosity and wall condition, the mass
+of the cornea, a sealed or an open chamber, the load's time course, the IOP, and the tissue that an examiner does not
+know.
 Delays have the load's own measure subtracted. A quasi-static cornea would follow a symmetric puff without delay and
 without asymmetry, so with the Gaussian puff what is found is dynamics; with the measured puff, itself asymmetric, the
 quasi-static answer is subtracted (`quasi_static`).
 """
+
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Callable, Sequence
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -78,10 +80,16 @@ class Outcome:
         names = ("peak_time_ms", "rise_time_ms", "fall_time_ms", "midpoint_ms", "centroid_ms")
         row |= {name: getattr(m, name) if m else None for name in names}
         row |= {f"delay_{name}_ms": self.delays.get(name) for name in ("midpoint", "centroid", "match", "peak")}
-        row |= {name: getattr(m, name) if m else None
-                for name in ("fall_to_rise", "skewness", "speed_in", "speed_out", "speed_ratio", "odd_share")}
-        return row | {"volume_change": self.volume_change, "energy_error": self.energy_error,
-                      "overrides": " ".join(self.case.overrides), "stopped": self.stop}
+        row |= {
+            name: getattr(m, name) if m else None
+            for name in ("fall_to_rise", "skewness", "speed_in", "speed_out", "speed_ratio", "odd_share")
+        }
+        return row | {
+            "volume_change": self.volume_change,
+            "energy_error": self.energy_error,
+            "overrides": " ".join(self.case.overrides),
+            "stopped": self.stop,
+        }
 
 
 def cases() -> list[Case]:
@@ -89,31 +97,53 @@ def cases() -> list[Case]:
     listed = [Case("reference", "default eye", 1.0)]
     listed += [Case("sound speed", f"c = {c:g} m/s", c, (f"numerics.sound_speed_m_s={c}",)) for c in SOUND_SPEEDS]
     listed += [Case("fluid density", f"rho_f x {x:g}", x, _lighter_fluid(x)) for x in DENSITY_FACTORS]
-    listed += [Case("viscosity", f"mu = {mu:g} mPa s", mu, (f"aqueous.viscosity_mpa_s={mu}",))
-               for mu in (0.0, 8.0, 80.0)]
+    listed += [
+        Case("viscosity", f"mu = {mu:g} mPa s", mu, (f"aqueous.viscosity_mpa_s={mu}",)) for mu in (0.0, 8.0, 80.0)
+    ]
     # the thinner layer of the thinner fluid asks for finer nodes
-    listed += [Case("viscosity, no slip", f"mu = {mu:g} mPa s, no slip", mu,
-                    (f"aqueous.viscosity_mpa_s={mu}", "numerics.wall_condition=no_slip"), refine)
-               for mu, refine in ((0.8, 2.0), (80.0, 1.0))]
+    listed += [
+        Case(
+            "viscosity, no slip",
+            f"mu = {mu:g} mPa s, no slip",
+            mu,
+            (f"aqueous.viscosity_mpa_s={mu}", "numerics.wall_condition=no_slip"),
+            refine,
+        )
+        for mu, refine in ((0.8, 2.0), (80.0, 1.0))
+    ]
     listed += [Case("cornea density", "rho_s x 0.1", 0.1, ("cornea.density_kg_m3=105",))]
     for peak in OPEN_PEAKS_KPA:
         load = f"puff.peak_kpa={peak}"
-        listed += [Case("sealed", f"sealed, {peak:g} kPa", peak, (load,)),
-                   Case("open", f"open, {peak:g} kPa", peak, (load, "chamber.sealed=false"))]
-    listed += [Case("open", "open, 10 kPa", 10.0, ("chamber.sealed=false",)),
-               Case("open, light fluid", "open, 4 kPa, rho_f x 0.1", 4.0,
-                    ("puff.peak_kpa=4", "chamber.sealed=false", *_lighter_fluid(0.1)))]
+        listed += [
+            Case("sealed", f"sealed, {peak:g} kPa", peak, (load,)),
+            Case("open", f"open, {peak:g} kPa", peak, (load, "chamber.sealed=false")),
+        ]
+    listed += [
+        Case("open", "open, 10 kPa", 10.0, ("chamber.sealed=false",)),
+        Case(
+            "open, light fluid",
+            "open, 4 kPa, rho_f x 0.1",
+            4.0,
+            ("puff.peak_kpa=4", "chamber.sealed=false", *_lighter_fluid(0.1)),
+        ),
+    ]
     listed += [Case("measured puff", "Corvis ST time course", 1.0, ("puff.time_course=corvis",))]
     listed += [Case("IOP", f"IOP {iop:g} mmHg", iop, (f"eye.iop_mmhg={iop}",)) for iop in IOPS_MMHG]
     default = load_scene()
     for share in (-UNKNOWN, UNKNOWN):
         sign = f"{100 * share:+.0f} %"
         thick, k = default.cornea.thickness_mm * (1.0 + share), default.cornea.exponent_k * (1.0 + share)
-        listed += [Case("thickness", f"thickness {sign}", share, (f"cornea.thickness_mm={thick!r}",)),
-                   Case("exponent", f"exponent k {sign}", share, (f"cornea.exponent_k={k!r}",)),
-                   Case("stiffness", f"stiffness at rest {sign}", share,
-                        (f"cornea.exponent_k={_exponent_for_tangent(default, 1.0 + share)!r}",)),
-                   Case("puff", f"puff {sign}", share, (f"puff.peak_kpa={default.puff.peak_kpa * (1.0 + share)!r}",))]
+        listed += [
+            Case("thickness", f"thickness {sign}", share, (f"cornea.thickness_mm={thick!r}",)),
+            Case("exponent", f"exponent k {sign}", share, (f"cornea.exponent_k={k!r}",)),
+            Case(
+                "stiffness",
+                f"stiffness at rest {sign}",
+                share,
+                (f"cornea.exponent_k={_exponent_for_tangent(default, 1.0 + share)!r}",),
+            ),
+            Case("puff", f"puff {sign}", share, (f"puff.peak_kpa={default.puff.peak_kpa * (1.0 + share)!r}",)),
+        ]
     return listed
 
 
@@ -136,8 +166,9 @@ def _exponent_for_tangent(scene, factor: float) -> float:
 
 def run_case(case: Case, spacing_mm: float) -> Outcome:
     """Simulate one case; a guard's stop is an outcome."""
-    scene = load_scene(None, (f"numerics.spacing_mm={spacing_mm / case.refine}", f"numerics.sound_speed_m_s={C_BASE}",
-                              *case.overrides))
+    scene = load_scene(
+        None, (f"numerics.spacing_mm={spacing_mm / case.refine}", f"numerics.sound_speed_m_s={C_BASE}", *case.overrides)
+    )
     simulation = Simulation(scene)
     stop = ""
     try:
@@ -146,9 +177,16 @@ def run_case(case: Case, spacing_mm: float) -> Outcome:
         stop = f"{reason.what} ({reason.where}) at {reason.time_ms:.2f} ms"
     traces = simulation.arrays()
     t, apex, load = (traces[name] for name in ("time_ms", "apex_displacement_mm", "puff_apex_kpa"))
-    outcome = Outcome(case, t, apex, load, None if stop else measure(t, apex), stop=stop,
-                      volume_change=float(traces["chamber_volume_error"].min()),
-                      energy_error=float(np.abs(traces["energy_error_uj"]).max() / np.abs(traces["puff_work_uj"]).max()))
+    outcome = Outcome(
+        case,
+        t,
+        apex,
+        load,
+        None if stop else measure(t, apex),
+        stop=stop,
+        volume_change=float(traces["chamber_volume_error"].min()),
+        energy_error=float(np.abs(traces["energy_error_uj"]).max() / np.abs(traces["puff_work_uj"]).max()),
+    )
     if outcome.measures:
         outcome.delays = delays(t, apex, load)
     return outcome
@@ -157,8 +195,12 @@ def run_case(case: Case, spacing_mm: float) -> Outcome:
 def delays(time_ms, apex, load) -> dict[str, float]:
     """How far [ms] the apex is behind the load: midpoint of the 50 % times, centroid, best match, fitted peak."""
     here, push = measure(time_ms, apex), measure(time_ms, load)
-    return {"midpoint": here.midpoint_ms - push.midpoint_ms, "centroid": here.centroid_ms - push.centroid_ms,
-            "match": lag_of_best_match(time_ms, apex, load), "peak": here.peak_time_ms - push.peak_time_ms}
+    return {
+        "midpoint": here.midpoint_ms - push.midpoint_ms,
+        "centroid": here.centroid_ms - push.centroid_ms,
+        "match": lag_of_best_match(time_ms, apex, load),
+        "peak": here.peak_time_ms - push.peak_time_ms,
+    }
 
 
 def quasi_static(reference: Outcome, load_kpa: np.ndarray) -> np.ndarray:
@@ -167,10 +209,10 @@ def quasi_static(reference: Outcome, load_kpa: np.ndarray) -> np.ndarray:
     From the reference run under a symmetric puff: at each load the mean of the rising and the falling branch, in which
     a delay cancels to first order.
     """
-    t, apex, load = reference.time_ms, reference.apex_mm, reference.load_kpa
+    apex, load = reference.apex_mm, reference.load_kpa
     top = int(np.argmax(load))
     levels = np.linspace(load[top:].min(), load[top], 400)
-    rise = np.interp(levels, load[:top + 1], apex[:top + 1])
+    rise = np.interp(levels, load[: top + 1], apex[: top + 1])
     fall = np.interp(levels, load[top:][::-1], apex[top:][::-1])
     return np.interp(load_kpa, levels, 0.5 * (rise + fall), left=0.0)
 
@@ -203,8 +245,10 @@ class Results:
         The feature must fall as the IOP rises.
         """
         iop = load_scene().eye.iop_mmhg
-        pairs = sorted([(o.case.value, getattr(o.measures, feature)) for o in self.of("IOP") if o.sound]
-                       + [(iop, getattr(self.base.measures, feature))])
+        pairs = sorted(
+            [(o.case.value, getattr(o.measures, feature)) for o in self.of("IOP") if o.sound]
+            + [(iop, getattr(self.base.measures, feature))]
+        )
         pressures, values = np.array(pairs).T
         curve = PchipInterpolator(np.log(values[::-1]), np.log(pressures[::-1]))
         return float(np.exp(curve(np.log(getattr(outcome.measures, feature)))))
@@ -212,13 +256,14 @@ class Results:
     def elasticities(self) -> dict[str, dict[str, float]]:
         """d ln(feature) / d ln(parameter) at the reference, by parameter and feature; central differences."""
         iop = load_scene().eye.iop_mmhg
-        spans = {"IOP": self._neighbours("IOP", iop), **{name: self._neighbours(name, 0.0) for name in
-                                                        UNKNOWNS}}
+        spans = {"IOP": self._neighbours("IOP", iop), **{name: self._neighbours(name, 0.0) for name in UNKNOWNS}}
         table: dict[str, dict[str, float]] = {}
         for name, (low, high) in spans.items():
             shift = lambda o: o.case.value / iop if name == "IOP" else 1.0 + o.case.value
-            table[name] = {feature: math.log(value(high) / value(low)) / math.log(shift(high) / shift(low))
-                           for feature, value in FEATURES.items()}
+            table[name] = {
+                feature: math.log(value(high) / value(low)) / math.log(shift(high) / shift(low))
+                for feature, value in FEATURES.items()
+            }
         return table
 
     def _neighbours(self, study: str, value: float) -> tuple[Outcome, Outcome]:
@@ -229,7 +274,9 @@ class Results:
 UNKNOWNS = "exponent", "stiffness", "thickness", "puff"  # studies of what an examiner may not know
 FEATURES: dict[str, Callable[[Outcome], float]] = {
     "peak": lambda o: o.measures.peak,
-    "half rise before the puff's centre": lambda o: measure(o.time_ms, o.load_kpa).midpoint_ms - o.measures.rise_time_ms,
+    "half rise before the puff's centre": lambda o: (
+        measure(o.time_ms, o.load_kpa).midpoint_ms - o.measures.rise_time_ms
+    ),
     "half fall after the puff's centre": lambda o: o.measures.fall_time_ms - measure(o.time_ms, o.load_kpa).midpoint_ms,
     "inward speed": lambda o: o.measures.speed_in,
     "outward speed": lambda o: o.measures.speed_out,

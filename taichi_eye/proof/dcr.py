@@ -1,11 +1,15 @@
 """`taichi-eye clinic SCENE`: the dynamic corneal response of a scene beside published norms, and what its switches do.
 
-Parameters are read from the computed wall itself (`taichi_eye.analysis.response`), no film between. Three tables: the scene,
-with z-scores against the published populations (`taichi_eye.analysis.norms`) and whether it lies within one standard deviation of
-one of them; the scene with one switch at a time set back to the default eye; slopes with IOP and central thickness (the rim
-along with it) by a straight line through five eyes, beside those over 194 eyes. A globe's compliance falls as one over its
-pressure (Friedenwald), so it does along the eyes of other IOPs. A run that a guard stops shows why.
+Parameters are read from the computed wall itself (`taichi_eye.analysis.response`), no film between. Three tables: the
+scene, with z-scores against the published populations (`taichi_eye.analysis.norms`) and whether it lies within one
+standard
+deviation of one of them; the scene with one switch at a time set back to the default eye; slopes with IOP and central
+thickness (the
+rim along with it) by a straight line through five eyes, beside those over 194 eyes. A globe's compliance falls as one
+over
+its pressure (Friedenwald), so it does along the eyes of other IOPs. A run that a guard stops shows why.
 """
+
 from __future__ import annotations
 
 import json
@@ -29,9 +33,17 @@ from taichi_eye.scene import Scene, load_scene
 from taichi_eye.units import MM, MMHG, MS
 
 SHOWN = {
-    "a1_time_ms": "A1 ms", "a1_velocity_m_s": "A1 m/s", "a1_deflection_mm": "A1 defl mm", "a2_time_ms": "A2 ms",
-    "a2_velocity_m_s": "A2 m/s", "hc_time_ms": "HC ms", "deformation_amplitude_mm": "DA mm", "peak_distance_mm": "PD mm",
-    "hc_radius_mm": "HC R mm", "da_ratio_2mm": "DA ratio", "integrated_inverse_radius_per_mm": "IR 1/mm",
+    "a1_time_ms": "A1 ms",
+    "a1_velocity_m_s": "A1 m/s",
+    "a1_deflection_mm": "A1 defl mm",
+    "a2_time_ms": "A2 ms",
+    "a2_velocity_m_s": "A2 m/s",
+    "hc_time_ms": "HC ms",
+    "deformation_amplitude_mm": "DA mm",
+    "peak_distance_mm": "PD mm",
+    "hc_radius_mm": "HC R mm",
+    "da_ratio_2mm": "DA ratio",
+    "integrated_inverse_radius_per_mm": "IR 1/mm",
     "sp_a1_mmhg_mm": "SP-A1",
 }
 SWITCHES = {
@@ -48,7 +60,7 @@ SWITCHES = {
 }
 IOP_STEPS_MMHG = -4.0, -2.0, 0.0, 2.0, 4.0
 THICKNESS_STEPS_UM = -40.0, -20.0, 0.0, 20.0, 40.0
-FACTOR = 1.5                 # within which a slope counts as that of the living eyes
+FACTOR = 1.5  # within which a slope counts as that of the living eyes
 
 
 @dataclass(frozen=True)
@@ -66,7 +78,7 @@ def response_of(scene: Scene) -> Outcome:
     times, walls, puff, stopped = [], [], Puff.from_scene(scene), ""
 
     def keep(eye, frame):
-        wall = eye.cornea.place.to_numpy()[:eye.wall_count] / MM
+        wall = eye.cornea.place.to_numpy()[: eye.wall_count] / MM
         times.append(eye.time_ms)
         walls.append(wall - [0.0, float(retreat_mm(scene, eye.time_ms))])
 
@@ -78,8 +90,15 @@ def response_of(scene: Scene) -> Outcome:
         return Outcome(Response(), stopped or "too few frames")
     walls = np.array(walls)
     curves = curves_from_wall(np.array(times), walls[:, :, 0], walls[:, :, 1], scene.cornea.thickness_mm)
-    return Outcome(respond(curves, scene.camera.frame_interval_ms, scene.eye.iop_mmhg,
-                           lambda t: float(puff.pressure_at_apex(t * MS)) / MMHG), stopped)
+    return Outcome(
+        respond(
+            curves,
+            scene.camera.frame_interval_ms,
+            scene.eye.iop_mmhg,
+            lambda t: float(puff.pressure_at_apex(t * MS)) / MMHG,
+        ),
+        stopped,
+    )
 
 
 def switches_of(scene: Scene, default: Scene) -> dict[str, list[str]]:
@@ -103,8 +122,14 @@ def slope(steps, outcomes: list[Outcome], name: str) -> float:
     return float(np.polyfit(*zip(*pairs), 1)[0]) if len(pairs) >= 3 else float("nan")
 
 
-def report(path: str, overrides=(), out: str | None = None, json_file: str | None = None, progress: bool = True,
-           say=lambda text: print(text, flush=True)) -> Path:
+def report(
+    path: str,
+    overrides=(),
+    out: str | None = None,
+    json_file: str | None = None,
+    progress: bool = True,
+    say=lambda text: print(text, flush=True),
+) -> Path:
     """Run the scene, its switches and its slopes; print the tables, write clinic.html; its path.
 
     Raises SceneError before anything is written where the scene is bad or without a puff.
@@ -114,12 +139,21 @@ def report(path: str, overrides=(), out: str | None = None, json_file: str | Non
         raise SceneError(f"{path}: puff.peak_kpa = 0: an eye without a puff has no dynamic response")
     switched = switches_of(scene, load_scene())
     iop, yields = scene.eye.iop_mmhg, scene.chamber.compliance_mm3_mmhg
-    steps = [("IOP", [f"eye.iop_mmhg={iop + step:.6g}", f"chamber.compliance_mm3_mmhg={yields * iop / (iop + step):.6g}"])
-             for step in IOP_STEPS_MMHG]
+    steps = [
+        ("IOP", [f"eye.iop_mmhg={iop + step:.6g}", f"chamber.compliance_mm3_mmhg={yields * iop / (iop + step):.6g}"])
+        for step in IOP_STEPS_MMHG
+    ]
     cornea = scene.cornea
-    steps += [("CCT", [f"cornea.thickness_mm={cornea.thickness_mm + 1e-3 * step:.6g}",
-                       f"cornea.limbus_thickness_mm={cornea.limbus_thickness_mm + 1e-3 * step:.6g}"])
-              for step in THICKNESS_STEPS_UM]
+    steps += [
+        (
+            "CCT",
+            [
+                f"cornea.thickness_mm={cornea.thickness_mm + 1e-3 * step:.6g}",
+                f"cornea.limbus_thickness_mm={cornea.limbus_thickness_mm + 1e-3 * step:.6g}",
+            ],
+        )
+        for step in THICKNESS_STEPS_UM
+    ]
     runs = [("scene", []), *switched.items(), *steps]
     scenes = [load_scene(path, [*overrides, *more]) for _, more in runs]
     folder = create_run_folder(out, "clinic")
@@ -142,8 +176,11 @@ def report(path: str, overrides=(), out: str | None = None, json_file: str | Non
         for row in [head, *body]:
             say("  ".join(f"{str(cell):<{width}}" for cell, width in zip(row, widths)).rstrip())
     page = folder / "clinic.html"
-    write_page(page, f"taichi-eye clinic {Path(path).name}",
-               [f"<pre>{__doc__}</pre>"] + [f"<h2>{title}</h2>{table(head, body)}" for title, (head, body) in tables.items()])
+    write_page(
+        page,
+        f"taichi-eye clinic {Path(path).name}",
+        [f"<pre>{__doc__}</pre>"] + [f"<h2>{title}</h2>{table(head, body)}" for title, (head, body) in tables.items()],
+    )
     if json_file:
         plain = {title: [dict(zip(head, row)) for row in body] for title, (head, body) in tables.items()}
         write_text(Path(json_file), json.dumps(plain, indent=2) + "\n")
@@ -167,18 +204,27 @@ def norms_table(response: Response) -> tuple[list[str], list[list[str]]]:
 
 def switch_table(outcomes: dict[str, Outcome]) -> tuple[list[str], list[list[str]]]:
     """The scene, then the scene without each switch."""
-    body = [[("without " if name != "scene" else "") + name, *(_cell(getattr(outcome.response, field)) for field in SHOWN),
-             outcome.stopped] for name, outcome in outcomes.items()]
+    body = [
+        [
+            ("without " if name != "scene" else "") + name,
+            *(_cell(getattr(outcome.response, field)) for field in SHOWN),
+            outcome.stopped,
+        ]
+        for name, outcome in outcomes.items()
+    ]
     return ["", *SHOWN.values(), "stopped"], body
 
 
 def slope_table(iop: list[Outcome], thickness: list[Outcome]) -> tuple[list[str], list[list[str]]]:
-    """Slopes per mmHg and per 10 um beside those of living eyes: computed, measured, their ratio, within FACTOR or not."""
+    """Slopes per mmHg and per 10 um beside those of living eyes: computed, measured, their ratio, within FACTOR or
+    not."""
     body = []
     for name, (per_mmhg, per_10_um) in SLOPES.items():
         row = [SHOWN[name]]
-        for steps, outcomes, unit, measured in ((IOP_STEPS_MMHG, iop, 1.0, per_mmhg),
-                                                (THICKNESS_STEPS_UM, thickness, 10.0, per_10_um)):
+        for steps, outcomes, unit, measured in (
+            (IOP_STEPS_MMHG, iop, 1.0, per_mmhg),
+            (THICKNESS_STEPS_UM, thickness, 10.0, per_10_um),
+        ):
             found = unit * slope(steps, outcomes, name)
             ratio = found / measured
             row += [f"{found:.4f}", f"{measured:g}", f"{ratio:.2f}", "yes" if 1.0 / FACTOR <= ratio <= FACTOR else "NO"]

@@ -1,14 +1,16 @@
 """Domains with known answers, as sections that the node packing and the solver take in place of an eye.
 
-A `Vessel` is a straight cylinder (or, planar, a box): radius (width) a, height H, its top at z = 0 where the cornea would
-be. A `Hemisphere` is a half drop on its plane of symmetry. `Images` complete a domain by copies of its nodes beyond its
+A `Vessel` is a straight cylinder (or, planar, a box): radius (width) a, height H, its top at z = 0 where the cornea
+would be. A `Hemisphere` is a half drop on its plane of symmetry. `Images` complete a domain by copies of its nodes
+beyond its
 edges: mirrored (free slip) or shifted by a period.
 """
+
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_eye.cloud.packing import FIXED, FREE, SLIDE, WALL, Cloud, boundary, fill
+from taichi_eye.cloud.packing import FIXED, FREE, SLIDE, Cloud, boundary, fill
 from taichi_eye.eye.section import Section
 
 REACH = 5.0  # spacings up to which images are made: beyond the widest search radius
@@ -69,15 +71,18 @@ def hemisphere_cloud(radius: float, spacing: float) -> Cloud:
 
 def with_kinds(cloud: Cloud, kind, direction=None) -> Cloud:
     """The cloud with other boundary conditions: kind [n] and, for SLIDE nodes, direction [n, 2]."""
-    return replace(cloud, kind=np.asarray(kind, dtype=np.int32),
-                   direction=cloud.direction if direction is None else np.asarray(direction, dtype=float))
+    return replace(
+        cloud,
+        kind=np.asarray(kind, dtype=np.int32),
+        direction=cloud.direction if direction is None else np.asarray(direction, dtype=float),
+    )
 
 
 def slip_walls(cloud: Cloud) -> Cloud:
     """A vessel's cloud with its top a rigid slip wall, like its other walls."""
     kind, direction = cloud.kind.copy(), cloud.direction.copy()
-    kind[:cloud.wall_count] = SLIDE
-    direction[:cloud.wall_count] = 1.0, 0.0
+    kind[: cloud.wall_count] = SLIDE
+    direction[: cloud.wall_count] = 1.0, 0.0
     kind[[0, cloud.wall_count - 1]] = FIXED
     return with_kinds(cloud, kind, direction)
 
@@ -106,9 +111,17 @@ def mirrored(cloud: Cloud) -> Images:
     """Mirror images of a planar vessel's nodes across its four sides and corners: free slip, exactly."""
     vessel, points = cloud.section, cloud.points
     reach, edge = REACH * cloud.spacing, 1e-9 * cloud.spacing
-    maps = [[(1.0, 0.0), (-1.0, 0.0), (-1.0, 2.0 * vessel.width)], [(1.0, 0.0), (-1.0, 0.0), (-1.0, -2.0 * vessel.height)]]
-    return _copies(points, [((sx, tx), (sz, tz)) for sx, tx in maps[0] for sz, tz in maps[1]][1:],
-                   (0.0, vessel.width, -vessel.height, 0.0), reach, edge)
+    maps = [
+        [(1.0, 0.0), (-1.0, 0.0), (-1.0, 2.0 * vessel.width)],
+        [(1.0, 0.0), (-1.0, 0.0), (-1.0, -2.0 * vessel.height)],
+    ]
+    return _copies(
+        points,
+        [((sx, tx), (sz, tz)) for sx, tx in maps[0] for sz, tz in maps[1]][1:],
+        (0.0, vessel.width, -vessel.height, 0.0),
+        reach,
+        edge,
+    )
 
 
 def _copies(points, maps, box, reach, edge):
@@ -118,10 +131,18 @@ def _copies(points, maps, box, reach, edge):
         copy = points * (sx, sz) + (tx, tz)
         # a node on its own mirror is no copy; beyond the reach it is of no use
         moved = np.abs(copy - points).max(1) > edge
-        inside = ((copy[:, 0] >= low_x - edge) & (copy[:, 0] <= high_x + edge)
-                  & (copy[:, 1] >= low_z - edge) & (copy[:, 1] <= high_z + edge))
-        near = ((copy[:, 0] > low_x - reach) & (copy[:, 0] < high_x + reach)
-                & (copy[:, 1] > low_z - reach) & (copy[:, 1] < high_z + reach))
+        inside = (
+            (copy[:, 0] >= low_x - edge)
+            & (copy[:, 0] <= high_x + edge)
+            & (copy[:, 1] >= low_z - edge)
+            & (copy[:, 1] <= high_z + edge)
+        )
+        near = (
+            (copy[:, 0] > low_x - reach)
+            & (copy[:, 0] < high_x + reach)
+            & (copy[:, 1] > low_z - reach)
+            & (copy[:, 1] < high_z + reach)
+        )
         take = np.nonzero(moved & ~inside & near)[0]
         source.append(take)
         place.append(copy[take])
@@ -142,8 +163,13 @@ def tube_cloud(radius: float, period: float, spacing: float) -> tuple[Cloud, Ima
     kind[on_axis], kind[on_wall] = SLIDE, FIXED
     direction[on_axis] = 0.0, 1.0
     cloud = bare_cloud(vessel, spacing, points, kind, direction)
-    images = _copies(points, [((1.0, 0.0), (1.0, shift)) for shift in (-period, period)],
-                     (-1.0, radius, -period, -edge_below(spacing)), REACH * spacing, 1e-9 * spacing)
+    images = _copies(
+        points,
+        [((1.0, 0.0), (1.0, shift)) for shift in (-period, period)],
+        (-1.0, radius, -period, -edge_below(spacing)),
+        REACH * spacing,
+        1e-9 * spacing,
+    )
     return cloud, images
 
 
@@ -157,8 +183,9 @@ def periodic_box(spacing: float) -> tuple[Cloud, Images]:
     lower = upper[(upper[:, 1] < -edge) & (upper[:, 1] > -0.5 + edge)] * (1.0, -1.0) + (0.0, -1.0)
     points = np.vstack([upper, lower])
     count = len(points)
-    cloud = bare_cloud(Vessel(1.0, 1.0, planar=True), spacing, points, np.full(count, FREE, dtype=np.int32),
-                       np.zeros((count, 2)))
+    cloud = bare_cloud(
+        Vessel(1.0, 1.0, planar=True), spacing, points, np.full(count, FREE, dtype=np.int32), np.zeros((count, 2))
+    )
     maps = [((1.0, x), (1.0, z)) for x in (0.0, -1.0, 1.0) for z in (0.0, -1.0, 1.0)][1:]
     low, high = edge_below(spacing) - 1.0, 1.0 - edge_below(spacing)
     return cloud, _copies(points, maps, (0.0, high, low, 0.0), REACH * spacing, edge)
@@ -172,5 +199,15 @@ def edge_below(spacing: float) -> float:
 def bare_cloud(section, spacing: float, points, kind, direction) -> Cloud:
     """A cloud without a cornea and without triangles: nothing moves and no volumes are needed."""
     count = len(points)
-    return Cloud(section, spacing, points, 0, np.asarray(kind, dtype=np.int32), direction,
-                 np.zeros((0, 3), dtype=np.int32), np.zeros(count, dtype=np.int32), np.zeros(count), np.zeros(count))
+    return Cloud(
+        section,
+        spacing,
+        points,
+        0,
+        np.asarray(kind, dtype=np.int32),
+        direction,
+        np.zeros((0, 3), dtype=np.int32),
+        np.zeros(count, dtype=np.int32),
+        np.zeros(count),
+        np.zeros(count),
+    )

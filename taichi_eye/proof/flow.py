@@ -4,11 +4,12 @@ The step is the fluid's part of `taichi_eye.solver.coupling`, in the same order 
 gradient, momentum, boundary values, velocity gradients, continuity. Added here are only what the problems prescribe:
 velocities of WALL nodes (a lid), a body force along z, and copies of nodes beyond the edges (`domains.Images`).
 """
+
 import numpy as np
-import taichi as ti
 
 from taichi_eye.backend import real
 from taichi_eye.cloud.packing import FREE, WALL, Cloud
+from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.proof.domains import Images
 from taichi_eye.solver.aqueous import Aqueous
 
@@ -27,17 +28,34 @@ class Flow:
         self.source = ti.field(ti.i32, capacity)
         self.sign, self.still, self.prescribed = (ti.Vector.field(2, fp, capacity) for _ in range(3))
 
-    def setup(self, cloud: Cloud, images: Images | None = None, *, density: float, viscosity: float, sound_speed: float,
-              dissipation: float, stencil: int | None = None) -> None:
+    def setup(
+        self,
+        cloud: Cloud,
+        images: Images | None = None,
+        *,
+        density: float,
+        viscosity: float,
+        sound_speed: float,
+        dissipation: float,
+        stencil: int | None = None,
+    ) -> None:
         """Fill the domain; images: copies beyond its edges; the rest as `Aqueous.setup` (SI units)."""
         images = images or Images.none()
         self.cloud, self.count = cloud, cloud.count
         copies = len(images.source)
         total = self.count + copies
-        whole = Cloud(cloud.section, cloud.spacing, np.vstack([cloud.points, images.place]), 0,
-                      np.concatenate([cloud.kind, np.full(copies, FREE, dtype=np.int32)]),
-                      np.vstack([cloud.direction, np.zeros((copies, 2))]), cloud.triangles,
-                      np.zeros(total, dtype=np.int32), np.zeros(total), np.zeros(total))
+        whole = Cloud(
+            cloud.section,
+            cloud.spacing,
+            np.vstack([cloud.points, images.place]),
+            0,
+            np.concatenate([cloud.kind, np.full(copies, FREE, dtype=np.int32)]),
+            np.vstack([cloud.direction, np.zeros((copies, 2))]),
+            cloud.triangles,
+            np.zeros(total, dtype=np.int32),
+            np.zeros(total),
+            np.zeros(total),
+        )
         self.aqueous.setup(whole, density, viscosity, sound_speed, dissipation, stencil=stencil)
         source = np.zeros(self.aqueous.capacity, dtype=np.int32)
         sign = np.zeros((self.aqueous.capacity, 2))
@@ -59,28 +77,28 @@ class Flow:
         for field, values in ((self.aqueous.velocity, velocity), (self.aqueous.pressure, pressure)):
             whole = np.zeros(field.shape + ((2,) if hasattr(field, "n") else ()))
             if values is not None:
-                whole[:self.count] = values
+                whole[: self.count] = values
             field.from_numpy(whole)
         self._start()
 
     def prescribe(self, velocity) -> None:
         """Velocities [count, 2] that the WALL nodes take."""
         whole = np.zeros((self.aqueous.capacity, 2))
-        whole[:self.count] = velocity
+        whole[: self.count] = velocity
         self.prescribed.from_numpy(whole)
 
     def velocity(self):
         """Velocities [count, 2]."""
-        return self.aqueous.velocity.to_numpy()[:self.count]
+        return self.aqueous.velocity.to_numpy()[: self.count]
 
     def pressure(self):
         """Pressures [count]."""
-        return self.aqueous.pressure.to_numpy()[:self.count]
+        return self.aqueous.pressure.to_numpy()[: self.count]
 
     @ti.kernel
     def _start(self):
         ti.loop_config(serialize=True)
-        for once in range(1):
+        for _ in range(ONE_TASK):
             for g in range(self.copied[None]):
                 self._copy_velocity(g)
             for i in range(self.own[None]):
@@ -110,7 +128,8 @@ class Flow:
         copy, row = self.own[None] + g, self.aqueous.continuity_row[self.source[g]]
         self._copy_velocity(g)
         self.aqueous.continuity_row[copy] = self.aqueous.smoother.row_of_scalar(
-            copy, self.aqueous.momentum_row[copy][0], self.sign[g] * ti.Vector([row[1], row[2]]))
+            copy, self.aqueous.momentum_row[copy][0], self.sign[g] * ti.Vector([row[1], row[2]])
+        )
 
     @ti.func
     def _copy_velocity_gradient(self, g):

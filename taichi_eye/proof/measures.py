@@ -4,6 +4,7 @@ The dent's top is flat (it stays within 1 % of its peak for 1.6 ms), so the time
 conditioned. Everything below works on the hump: the samples about the highest one down to `FOOT` of the peak on either
 side.
 """
+
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -58,7 +59,7 @@ def measure(time_ms: ArrayLike, values: ArrayLike) -> Measures | None:
     if not v[top] > 0.0 or not len(low[low < top]) or not len(low[low > top]):
         return None
     first, last = low[low < top][-1], low[low > top][0]
-    t, v = t[first:last + 1], v[first:last + 1]
+    t, v = t[first : last + 1], v[first : last + 1]
     peak_time, peak = _top(t, v)
     rise, fall = _crossings(t, v, 0.5 * peak)
     grid = np.arange(t[0], t[-1], FINE_MS)
@@ -72,8 +73,17 @@ def measure(time_ms: ArrayLike, values: ArrayLike) -> Measures | None:
     arm = np.arange(0.0, min(middle - t[0], t[-1] - middle), FINE_MS)
     later, earlier = np.interp(middle + arm, t, v), np.interp(middle - arm, t, v)
     odd = np.sqrt(np.sum((later - earlier) ** 2) / (2.0 * np.sum(later**2 + earlier**2)))
-    return Measures(peak, peak_time, rise, fall, centroid, float(skewness), float(slope[inner].max()),
-                    float(-slope[inner].min()), float(odd))
+    return Measures(
+        peak,
+        peak_time,
+        rise,
+        fall,
+        centroid,
+        float(skewness),
+        float(slope[inner].max()),
+        float(-slope[inner].min()),
+        float(odd),
+    )
 
 
 def _top(t: np.ndarray, v: np.ndarray) -> tuple[float, float]:

@@ -1,10 +1,11 @@
 """The cornea alone against closed forms: inflation of a sphere, and Hencky's clamped membrane."""
+
 import numpy as np
-import taichi as ti
 from scipy.linalg import solve_banded
 
 from taichi_eye.eye.section import Section
 from taichi_eye.eye.tissue import inflation_pressure
+from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.proof.rows import Row, order, relative
 from taichi_eye.solver.cornea import Cornea
 
@@ -26,7 +27,7 @@ class Membrane:
     @ti.kernel
     def _evaluate(self):
         ti.loop_config(serialize=True)
-        for once in range(1):
+        for _ in range(ONE_TASK):
             self.cornea.deform(0, 0.0)
         ti.loop_config(serialize=True)
         for i in range(self.count):
@@ -66,12 +67,28 @@ def inflation(quick: bool = False):
         errors.append(np.abs(found / exact[:, None] - 1.0).max(1))
         mean = found[np.arange(len(stretches)), np.abs(found / exact[:, None] - 1.0).argmax(1)]
     errors = np.array(errors)
-    rows = [Row("membrane inflation", f"pressure at lam {lam:g} (Pa), worst node", float(exact[j]), float(mean[j]),
-                float(errors[-1, j]), None if quick else 1e-6, order(1.0 / np.array(grids), errors[:, j]), 1.9,
-                f"{grids[-1]} elements") for j, lam in enumerate(stretches)]
-    figure = {"title": "Membrane inflation", "x": "elements", "y": "relative error of the pressure, worst node",
-              "log": True, "lines": [(f"lam {lam:g}", grids, errors[:, j]) for j, lam in enumerate(stretches)],
-              "slope": -2}
+    rows = [
+        Row(
+            "membrane inflation",
+            f"pressure at lam {lam:g} (Pa), worst node",
+            float(exact[j]),
+            float(mean[j]),
+            float(errors[-1, j]),
+            None if quick else 1e-6,
+            order(1.0 / np.array(grids), errors[:, j]),
+            1.9,
+            f"{grids[-1]} elements",
+        )
+        for j, lam in enumerate(stretches)
+    ]
+    figure = {
+        "title": "Membrane inflation",
+        "x": "elements",
+        "y": "relative error of the pressure, worst node",
+        "log": True,
+        "lines": [(f"lam {lam:g}", grids, errors[:, j]) for j, lam in enumerate(stretches)],
+        "slope": -2,
+    }
     return rows, [figure]
 
 
@@ -92,7 +109,9 @@ def hencky(quick: bool = False):
         depth, tension = [], []
         for elements in grids:
             nodes = np.column_stack([np.linspace(0.0, a, elements + 1), np.zeros(elements + 1)])
-            place, membrane = _hencky_place(nodes, thickness, material, q, c1 * (q * a**4 / (youngs * thickness)) ** (1 / 3))
+            place, membrane = _hencky_place(
+                nodes, thickness, material, q, c1 * (q * a**4 / (youngs * thickness)) ** (1 / 3)
+            )
             depth.append(place[0, 1] / (q * a**4 / (youngs * thickness)) ** (1 / 3))
             stress = membrane.cornea.stress.to_numpy()[:elements]
             # two elements continue the even profile to the axis at second order
@@ -100,16 +119,28 @@ def hencky(quick: bool = False):
             tension.append(thickness * centre / (youngs * thickness * q**2 * a**2) ** (1 / 3))
         for name, values, exact in (("C1 (deflection)", depth, c1), ("C2 (tension at the centre)", tension, c2)):
             errors = [relative(v, exact) for v in values]
-            rows.append(Row("Hencky", f"{name}, nu {nu:g}", exact, float(values[-1]), errors[-1], 1e-3,
-                            order(1.0 / np.array(grids), errors), 1.8 if values is depth else None,
-                            f"{grids[-1]} elements"))
+            rows.append(
+                Row(
+                    "Hencky",
+                    f"{name}, nu {nu:g}",
+                    exact,
+                    float(values[-1]),
+                    errors[-1],
+                    1e-3,
+                    order(1.0 / np.array(grids), errors),
+                    1.8 if values is depth else None,
+                    f"{grids[-1]} elements",
+                )
+            )
             lines.append((f"{name}, nu {nu:g}", grids, errors))
-    return rows, [{"title": "Hencky's membrane", "x": "elements", "y": "relative error", "log": True, "lines": lines,
-                   "slope": -2}]
+    return rows, [
+        {"title": "Hencky's membrane", "x": "elements", "y": "relative error", "log": True, "lines": lines, "slope": -2}
+    ]
 
 
 def dry_frequencies(nodes, thickness: float, density: float, material, count: int = 3):
-    """Lowest transverse frequencies [Hz] of a flat membrane without a liquid, from its linearised tissue forces and masses."""
+    """Lowest transverse frequencies [Hz] of a flat membrane without a liquid, from its linearised tissue forces and
+    masses."""
     membrane = Membrane(nodes, thickness, material, density)
     free = len(nodes) - 1
     stiffness = np.empty((free, free))

@@ -1,4 +1,5 @@
 """Rows of the verification table, and measured orders."""
+
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -31,8 +32,10 @@ class Row:
 
     def as_dict(self) -> dict:
         """The row for the JSON file; a figure that is not finite becomes null."""
-        plain = {name: (None if isinstance(value, float) and not np.isfinite(value) else value)
-                 for name, value in asdict(self).items()}
+        plain = {
+            name: (None if isinstance(value, float) and not np.isfinite(value) else value)
+            for name, value in asdict(self).items()
+        }
         return {**plain, "passed": self.passed}
 
 

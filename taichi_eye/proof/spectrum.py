@@ -1,17 +1,18 @@
 """Spectra of the discrete system, from the solver's own step.
 
-One time step of the solver, taken about rest, is a linear map of its state. `step_matrix` takes it column by column: each
-unit perturbation goes through the actual kernels. An eigenvalue m of the map over dt is the mode exp(lambda t),
+One time step of the solver, taken about rest, is a linear map of its state. `step_matrix` takes it column by column:
+each unit perturbation goes through the actual kernels. An eigenvalue m of the map over dt is the mode exp(lambda t),
 lambda = log(m) / dt: its real part the growth rate [1/s], its imaginary part the angular frequency [rad/s]. At a dt far
 below the stable one, lambda is the spectrum of the semi-discrete operator up to dt^2; at the dt of a run it is the
 stability of that run, time integration and coupling included.
 """
+
 import numpy as np
-import taichi as ti
 from scipy.linalg import lu_factor, lu_solve
 
 from taichi_eye.backend import real
 from taichi_eye.cloud.packing import Cloud
+from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.cornea import Cornea
 from taichi_eye.solver.coupling import NOT_CONVERGED, Coupling
@@ -27,16 +28,37 @@ class CoupledSystem:
     velocities and accelerations times spacing / c [2 w each]: all in m/s, so that one perturbation suits all.
     """
 
-    def __init__(self, capacity: int, walls_capacity: int, *, basis: str = "quadratic", planar: bool = False,
-                 law: str = "exponential", rim: str = "clamped"):
+    def __init__(
+        self,
+        capacity: int,
+        walls_capacity: int,
+        *,
+        basis: str = "quadratic",
+        planar: bool = False,
+        law: str = "exponential",
+        rim: str = "clamped",
+    ):
         self.cornea = Cornea(walls_capacity, law, rim, planar)
         self.aqueous = Aqueous(capacity, basis, planar)
         self.coupling = Coupling(self.cornea, self.aqueous)
         self.pressure_scale, self.length_scale, self.acceleration_scale = (ti.field(real(), ()) for _ in range(3))
 
-    def setup(self, cloud: Cloud, *, thickness: float, wall_density: float, material, iop: float, density: float,
-              viscosity: float, sound_speed: float, dissipation: float, stencil: int | None = None,
-              iterated: bool = True, sweeps_max: int = 60) -> None:
+    def setup(
+        self,
+        cloud: Cloud,
+        *,
+        thickness: float,
+        wall_density: float,
+        material,
+        iop: float,
+        density: float,
+        viscosity: float,
+        sound_speed: float,
+        dissipation: float,
+        stencil: int | None = None,
+        iterated: bool = True,
+        sweeps_max: int = 60,
+    ) -> None:
         """Put a cloud and its cornea to rest (SI units; as `Cornea.setup`, `Aqueous.setup` and `Coupling.setup`)."""
         self.iterated, self.sweeps_max = iterated, sweeps_max
         self.cloud, self.count, self.walls = cloud, cloud.count, cloud.wall_count
@@ -57,24 +79,27 @@ class CoupledSystem:
     @ti.kernel
     def _remember(self):
         ti.loop_config(serialize=True)
-        for once in range(1):
+        for _ in range(ONE_TASK):
             self.coupling.rest_enclosed[0] = self.cornea.enclosed_volume(0)
 
     @ti.kernel
     def _load(self, state: ti.types.ndarray()):
         n, w = self.aqueous.count[0], self.aqueous.wall_count[0]
         ti.loop_config(serialize=True)
-        for once in range(1):
+        for _ in range(ONE_TASK):
             for i in range(n):
                 self.aqueous.pressure[i] = state[i] * self.pressure_scale[None]
                 self.aqueous.velocity[i] = ti.Vector([state[n + 2 * i], state[n + 2 * i + 1]])
             for i in range(w):
                 at = 3 * n + 2 * i
-                self.cornea.place[i] = self.cornea.rest[i] + self.length_scale[None] * ti.Vector([state[at], state[at + 1]])
+                self.cornea.place[i] = self.cornea.rest[i] + self.length_scale[None] * ti.Vector(
+                    [state[at], state[at + 1]]
+                )
                 self.cornea.lost[i] = ti.Vector([0.0, 0.0])
                 self.cornea.velocity[i] = ti.Vector([state[at + 2 * w], state[at + 2 * w + 1]])
-                self.cornea.acceleration[i] = self.acceleration_scale[None] * ti.Vector([state[at + 4 * w],
-                                                                                   state[at + 4 * w + 1]])
+                self.cornea.acceleration[i] = self.acceleration_scale[None] * ti.Vector(
+                    [state[at + 4 * w], state[at + 4 * w + 1]]
+                )
             for i in range(n):
                 self.aqueous.find_velocity_gradient(0, i)
             self.aqueous.last_volume[0] = self.coupling.chamber_volume(0)
@@ -83,7 +108,7 @@ class CoupledSystem:
     def _store(self, state: ti.types.ndarray()):
         n, w = self.aqueous.count[0], self.aqueous.wall_count[0]
         ti.loop_config(serialize=True)
-        for once in range(1):
+        for _ in range(ONE_TASK):
             for i in range(n):
                 state[i] = self.aqueous.pressure[i] / self.pressure_scale[None]
                 for a in ti.static(range(2)):
@@ -120,7 +145,7 @@ class CoupledSystem:
         """Sweeps taken and residual left by the coupling iteration of one step from a kick of the wall."""
         state = np.zeros(self.size)
         kick = np.sin(np.linspace(0.0, 9.0, self.walls)) + 1.0
-        state[3 * self.count + 2 * self.walls + 1:3 * self.count + 4 * self.walls:2] = 1e-3 * kick
+        state[3 * self.count + 2 * self.walls + 1 : 3 * self.count + 4 * self.walls : 2] = 1e-3 * kick
         self._load(state)
         self.coupling.setup(True, False, 1.0, tolerance, sweeps)
         self.coupling.advance(np.zeros(1), dt, dt)
@@ -171,8 +196,8 @@ def growth(matrix, dt: float) -> float:
 def mode(matrix, dt: float, frequency: float, sweeps: int = 40) -> tuple[float, float]:
     """Frequency [Hz] and damping rate [1/s] of the mode nearest to a frequency [Hz], by inverse iteration.
 
-    The shift stays at the frequency asked for, so the nearest mode wins by the ratio of the distances per sweep. Returns
-    NaN where that has not settled to 1e-8 after `sweeps`.
+    The shift stays at the frequency asked for, so the nearest mode wins by the ratio of the distances per sweep.
+    Returns NaN where that has not settled to 1e-8 after `sweeps`.
     """
     kept = reachable(matrix)
     shift = np.exp(2j * np.pi * frequency * dt)

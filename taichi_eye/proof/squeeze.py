@@ -1,8 +1,9 @@
 """Squeeze flow: the exact, polynomial flow under a moving flat wall."""
+
 import numpy as np
-import taichi as ti
 
 from taichi_eye.cloud.packing import FREE
+from taichi_eye.lang import ti
 from taichi_eye.proof.domains import Vessel, vessel_cloud, with_kinds
 from taichi_eye.proof.rows import Row
 from taichi_eye.solver.aqueous import Aqueous
@@ -41,9 +42,10 @@ class _Gap:
 def squeeze(quick: bool = False):
     """Inviscid flow in a gap H(t) under a falling plate, in rates: every term of the moving-node equations at once.
 
-    u_z = H' z/H, u_r = -H' r/(2 H), p = rho (r^2/4)(H''/H - 1.5 (H'/H)^2) - rho z^2 H''/(2 H) + p0, z from the fixed plate.
-    Quadratic in r and z, so the basis holds it: the error is that of rounding, on scattered nodes, wherever they have moved.
-    A node keeps its share of the gap, w_z = H' z/H, w_r = 0, so du_z/dt = H'' z/H and
+    u_z = H' z/H, u_r = -H' r/(2 H), p = rho (r^2/4)(H''/H - 1.5 (H'/H)^2) - rho z^2 H''/(2 H) + p0, z from the fixed
+    plate. Quadratic in r and z, so the basis holds it: the error is that of rounding, on scattered nodes, wherever they
+    have
+    moved. A node keeps its share of the gap, w_z = H' z/H, w_r = 0, so du_z/dt = H'' z/H and
     du_r/dt = -(r/2)(H''/H - (H'/H)^2) along it, and div u = 0. H = 3 mm (1 - 0.3) with H' = -0.5 m/s, H'' = 200 m/s^2.
     """
     depth, width, density, c = 3e-3, 6e-3, 1000.0, 100.0
@@ -55,8 +57,17 @@ def squeeze(quick: bool = False):
             cloud = vessel_cloud(Vessel(width, depth), spacing)
             worst = np.maximum(worst, _rate_errors(cloud, density, c, basis))
         for name, error in zip(("acceleration", "divergence", "node place"), worst):
-            rows.append(Row("squeeze flow", f"{name}, {basis} basis, worst node", 0.0, float(error), float(error), 1e-9,
-                            note=f"{spacings[-1] * 1e3:g} mm nodes carried to 70 % of the gap; relative to the largest term"))
+            rows.append(
+                Row(
+                    "squeeze flow",
+                    f"{name}, {basis} basis, worst node",
+                    0.0,
+                    float(error),
+                    float(error),
+                    1e-9,
+                    note=f"{spacings[-1] * 1e3:g} mm nodes carried to 70 % of the gap; relative to the largest term",
+                )
+            )
     return rows, []
 
 
@@ -76,7 +87,9 @@ def _rate_errors(cloud, density, c, basis):
     place_error = np.abs(moved - np.column_stack([r, z - rest])).max() / rest
     liquid.aqueous.rebuild()
     velocity = np.column_stack([-0.5 * speed * r / gap, speed * z / gap])
-    pressure = density * (0.25 * r**2 * (acceleration / gap - 1.5 * (speed / gap) ** 2) - 0.5 * z**2 * acceleration / gap)
+    pressure = density * (
+        0.25 * r**2 * (acceleration / gap - 1.5 * (speed / gap) ** 2) - 0.5 * z**2 * acceleration / gap
+    )
     liquid.aqueous.velocity.from_numpy(velocity)
     liquid.aqueous.pressure.from_numpy(pressure)
     dt = 1e-6
@@ -86,5 +99,10 @@ def _rate_errors(cloud, density, c, basis):
     # the pressure force acts on rho0 + p/c^2 here, on rho0 in the exact flow
     force = np.column_stack([-0.5 * r * (acceleration / gap - 1.5 * (speed / gap) ** 2), acceleration * z / gap])
     exact = carried + force * (density / (density + pressure / c**2) - 1.0)[:, None]
-    return np.array([np.abs(rate - exact).max() / np.abs(exact).max(),
-                     np.abs(liquid.rate.to_numpy()).max() / abs(speed / gap), place_error])
+    return np.array(
+        [
+            np.abs(rate - exact).max() / np.abs(exact).max(),
+            np.abs(liquid.rate.to_numpy()).max() / abs(speed / gap),
+            place_error,
+        ]
+    )

@@ -1,4 +1,5 @@
 """`taichi-eye stability`: maps of where the methods work and fail, each with its theory drawn on the measurement."""
+
 import json
 import time
 from pathlib import Path
@@ -15,11 +16,20 @@ from taichi_eye.proof.maps.wall import wall
 from taichi_eye.report.folder import create_run_folder, replacing, write_text
 from taichi_eye.report.page import picture, plain, table, write_page
 
-PARTS = {"spectrum": spectrum, "time-step": time_step, "coupling": coupling, "sound-speed": sound_speed, "wall": wall,
-         "cloud": cloud, "corners": corners}
+PARTS = {
+    "spectrum": spectrum,
+    "time-step": time_step,
+    "coupling": coupling,
+    "sound-speed": sound_speed,
+    "wall": wall,
+    "cloud": cloud,
+    "corners": corners,
+}
 
 
-def report(only=(), out: str | None = None, json_file: str | None = None, say=lambda text: print(text, flush=True)) -> bool:
+def report(
+    only=(), out: str | None = None, json_file: str | None = None, say=lambda text: print(text, flush=True)
+) -> bool:
     """Draw the maps named (all without names): a PNG each, one page, what was found in words.
 
     out: folder (default: a new one under renders/); json_file: the figures. Returns whether no run failed in silence: a
@@ -36,7 +46,7 @@ def report(only=(), out: str | None = None, json_file: str | None = None, say=la
         say(f"  {name}: {time.perf_counter() - started:.0f} s")
         with replacing(folder / f"{name}.png") as temporary:
             here.canvas.savefig(temporary, format="png", facecolor="white")
-        theory = (__import__(PARTS[name].__module__, fromlist=["x"]).__doc__ or "")
+        theory = __import__(PARTS[name].__module__, fromlist=["x"]).__doc__ or ""
         parts += [f"<h2>{name}</h2>", "<ul>" + "".join(f"<li>{plain(line)}</li>" for line in here.found) + "</ul>"]
         if here.broken:
             parts.append("<p class=no>" + "<br>".join(plain(line) for line in here.broken) + "</p>")
@@ -55,8 +65,11 @@ def report(only=(), out: str | None = None, json_file: str | None = None, say=la
 
 
 def _verdict(broken: list[str]) -> str:
-    return ("<p>Every failing corner ended in a stop with its diagnosis.</p>" if not broken
-            else f"<p>{len(broken)} corners failed in silence or with the wrong diagnosis.</p>")
+    return (
+        "<p>Every failing corner ended in a stop with its diagnosis.</p>"
+        if not broken
+        else f"<p>{len(broken)} corners failed in silence or with the wrong diagnosis.</p>"
+    )
 
 
 def _number(value):

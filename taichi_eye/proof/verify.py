@@ -1,4 +1,5 @@
 """`taichi-eye verify`: the solver's kernels on problems with known answers, one table."""
+
 import json
 import math
 import time
@@ -27,7 +28,9 @@ PARTS = {
 HEAD = ("problem", "quantity", "exact", "value", "error", "limit", "order", "least", "", "resolution")
 
 
-def report(only=(), out: str | None = None, json_file: str | None = None, say=lambda text: print(text, flush=True)) -> bool:
+def report(
+    only=(), out: str | None = None, json_file: str | None = None, say=lambda text: print(text, flush=True)
+) -> bool:
     """Run the problems named (all without names), print the table, write the page; whether every row passed.
 
     out: folder of the page (default: a new one under renders/); json_file: the rows as a list of objects.
@@ -60,9 +63,18 @@ def _figure(value) -> str:
 
 
 def _cells(row: Row):
-    return (row.problem, row.quantity, _figure(row.exact), _figure(row.value), f"{row.error:.2e}",
-            "" if row.limit is None else f"{row.limit:g}", "" if row.order is None else f"{row.order:.2f}",
-            "" if row.order_limit is None else f"{row.order_limit:g}", "ok" if row.passed else "FAILED", row.note)
+    return (
+        row.problem,
+        row.quantity,
+        _figure(row.exact),
+        _figure(row.value),
+        f"{row.error:.2e}",
+        "" if row.limit is None else f"{row.limit:g}",
+        "" if row.order is None else f"{row.order:.2f}",
+        "" if row.order_limit is None else f"{row.order_limit:g}",
+        "ok" if row.passed else "FAILED",
+        row.note,
+    )
 
 
 def _line(cells) -> str:

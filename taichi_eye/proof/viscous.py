@@ -1,4 +1,5 @@
 """Viscous flows with exact or well-known answers: Poiseuille decay, Womersley, Taylor-Green, the lid-driven cavity."""
+
 import math
 
 import numpy as np
@@ -46,10 +47,27 @@ def poiseuille(quick: bool = False):
         _run(flow, 1.0 / j**2)
         exact = j0(j * r) * math.exp(-1.0)
         errors.append(np.linalg.norm(flow.velocity()[:, 1] - exact) / np.linalg.norm(exact))
-    row = Row("Poiseuille decay", "axial velocity after one e-fold, L2", 0.0, errors[-1], errors[-1], 0.01,
-              order(grids, errors), 1.8, f"{round(1 / grids[-1])} nodes across the radius")
-    return [row], [{"title": "Poiseuille decay", "x": "spacing / radius", "y": "relative L2 error", "log": True,
-                    "lines": [("quadratic", grids, errors)], "slope": 2}]
+    row = Row(
+        "Poiseuille decay",
+        "axial velocity after one e-fold, L2",
+        0.0,
+        errors[-1],
+        errors[-1],
+        0.01,
+        order(grids, errors),
+        1.8,
+        f"{round(1 / grids[-1])} nodes across the radius",
+    )
+    return [row], [
+        {
+            "title": "Poiseuille decay",
+            "x": "spacing / radius",
+            "y": "relative L2 error",
+            "log": True,
+            "lines": [("quadratic", grids, errors)],
+            "slope": 2,
+        }
+    ]
 
 
 def womersley_profile(r, time: float, alpha: float):
@@ -68,8 +86,11 @@ def womersley(quick: bool = False):
     c is 10 times the largest velocity or 1, whichever is more (nothing is compressed: c sets dt and dissipation).
     """
     rows, lines = [], []
-    for alpha, grids in ((1.0, (0.2, 0.1414, 0.1, 0.0707)), (5.0, (0.1414, 0.1, 0.0707, 0.05)),
-                         (10.0, (0.1, 0.0707, 0.05, 0.0354))):
+    for alpha, grids in (
+        (1.0, (0.2, 0.1414, 0.1, 0.0707)),
+        (5.0, (0.1414, 0.1, 0.0707, 0.05)),
+        (10.0, (0.1, 0.0707, 0.05, 0.0354)),
+    ):
         if quick:
             grids = grids[:2]
         w = alpha**2
@@ -84,19 +105,39 @@ def womersley(quick: bool = False):
                 wrong += ((flow.velocity()[:, 1] - exact) ** 2).sum()
                 right += (exact**2).sum()
             errors.append(math.sqrt(wrong / right))
-        rows.append(Row("Womersley", f"axial velocity, alpha {alpha:g}, L2", 0.0, errors[-1], errors[-1], 0.01,
-                        order(grids, errors), 1.8, f"{round(1 / grids[-1])} nodes across the radius"))
+        rows.append(
+            Row(
+                "Womersley",
+                f"axial velocity, alpha {alpha:g}, L2",
+                0.0,
+                errors[-1],
+                errors[-1],
+                0.01,
+                order(grids, errors),
+                1.8,
+                f"{round(1 / grids[-1])} nodes across the radius",
+            )
+        )
         lines.append((f"alpha {alpha:g}", grids, errors))
-    return rows, [{"title": "Womersley flow", "x": "spacing / radius", "y": "relative L2 error", "log": True,
-                   "lines": lines, "slope": 2}]
+    return rows, [
+        {
+            "title": "Womersley flow",
+            "x": "spacing / radius",
+            "y": "relative L2 error",
+            "log": True,
+            "lines": lines,
+            "slope": 2,
+        }
+    ]
 
 
 def taylor_green(quick: bool = False):
     """Decaying vortices, Re 100: u = sin 2 pi x cos 2 pi z e^bt, w = -cos 2 pi x sin 2 pi z e^bt, b = -8 pi^2/Re.
 
-    The paper's own -cos 2 pi x sin 2 pi y form shifted by a quarter wave, so that one vortex fills a box of half a wave with
-    free-slip walls, which mirror images make exact. p = rho/4 (cos 4 pi x + cos 4 pi z) e^2bt. U = rho = 1, c = 10: what is left of the error at fine spacing is of order 1/c^2.
-    To t = 1.
+    The paper's own -cos 2 pi x sin 2 pi y form shifted by a quarter wave, so that one vortex fills a box of half a wave
+    with free-slip walls, which mirror images make exact. p = rho/4 (cos 4 pi x + cos 4 pi z) e^2bt. U = rho = 1, c =
+    10:
+    what is left of the error at fine spacing is of order 1/c^2. To t = 1.
     """
     nu, span = 0.01, 1.0
     grids = (0.05, 0.0354, 0.025) if quick else (0.05, 0.0354, 0.025, 0.0177, 0.0125)
@@ -112,24 +153,137 @@ def taylor_green(quick: bool = False):
         flow.set(shape, 0.25 * (np.cos(2 * x) + np.cos(2 * z)))
         _run(flow, span, nu=nu)
         errors.append(np.linalg.norm(flow.velocity() - decay * shape) / np.linalg.norm(decay * shape))
-    row = Row("Taylor-Green", "velocity at t = 1, Re 100, L2", 0.0, errors[-1], errors[-1], 0.01, order(grids, errors), 1.8,
-              f"{round(1 / grids[-1])} nodes to a wave length, c 10")
-    return [row], [{"title": "Taylor-Green vortex, Re 100", "x": "spacing / wave length", "y": "relative L2 error",
-                    "log": True, "lines": [("quadratic", grids, errors)], "slope": 2}]
+    row = Row(
+        "Taylor-Green",
+        "velocity at t = 1, Re 100, L2",
+        0.0,
+        errors[-1],
+        errors[-1],
+        0.01,
+        order(grids, errors),
+        1.8,
+        f"{round(1 / grids[-1])} nodes to a wave length, c 10",
+    )
+    return [row], [
+        {
+            "title": "Taylor-Green vortex, Re 100",
+            "x": "spacing / wave length",
+            "y": "relative L2 error",
+            "log": True,
+            "lines": [("quadratic", grids, errors)],
+            "slope": 2,
+        }
+    ]
 
 
 # Ghia, Ghia, Shin (1982), J. Comput. Phys. 48: u on x = 1/2 and v on y = 1/2; v(0.9063) at Re 400 is a known misprint
-GHIA_Y = (0.9766, 0.9688, 0.9609, 0.9531, 0.8516, 0.7344, 0.6172, 0.5, 0.4531, 0.2813, 0.1719, 0.1016, 0.0703, 0.0625, 0.0547)
-GHIA_X = (0.9688, 0.9609, 0.9531, 0.9453, 0.9063, 0.8594, 0.8047, 0.5, 0.2344, 0.2266, 0.1563, 0.0938, 0.0781, 0.0703, 0.0625)
+GHIA_Y = (
+    0.9766,
+    0.9688,
+    0.9609,
+    0.9531,
+    0.8516,
+    0.7344,
+    0.6172,
+    0.5,
+    0.4531,
+    0.2813,
+    0.1719,
+    0.1016,
+    0.0703,
+    0.0625,
+    0.0547,
+)
+GHIA_X = (
+    0.9688,
+    0.9609,
+    0.9531,
+    0.9453,
+    0.9063,
+    0.8594,
+    0.8047,
+    0.5,
+    0.2344,
+    0.2266,
+    0.1563,
+    0.0938,
+    0.0781,
+    0.0703,
+    0.0625,
+)
 GHIA = {
-    100: ((0.84123, 0.78871, 0.73722, 0.68717, 0.23151, 0.00332, -0.13641, -0.20581, -0.21090, -0.15662, -0.10150, -0.06434,
-           -0.04775, -0.04192, -0.03717),
-          (-0.05906, -0.07391, -0.08864, -0.10313, -0.16914, -0.22445, -0.24533, 0.05454, 0.17527, 0.17507, 0.16077, 0.12317,
-           0.10890, 0.10091, 0.09233)),
-    400: ((0.75837, 0.68439, 0.61756, 0.55892, 0.29093, 0.16256, 0.02135, -0.11477, -0.17119, -0.32726, -0.24299, -0.14612,
-           -0.10338, -0.09266, -0.08186),
-          (-0.12146, -0.15663, -0.19254, -0.22847, None, -0.44993, -0.38598, 0.05186, 0.30174, 0.30203, 0.28124, 0.22965,
-           0.20920, 0.19713, 0.18360)),
+    100: (
+        (
+            0.84123,
+            0.78871,
+            0.73722,
+            0.68717,
+            0.23151,
+            0.00332,
+            -0.13641,
+            -0.20581,
+            -0.21090,
+            -0.15662,
+            -0.10150,
+            -0.06434,
+            -0.04775,
+            -0.04192,
+            -0.03717,
+        ),
+        (
+            -0.05906,
+            -0.07391,
+            -0.08864,
+            -0.10313,
+            -0.16914,
+            -0.22445,
+            -0.24533,
+            0.05454,
+            0.17527,
+            0.17507,
+            0.16077,
+            0.12317,
+            0.10890,
+            0.10091,
+            0.09233,
+        ),
+    ),
+    400: (
+        (
+            0.75837,
+            0.68439,
+            0.61756,
+            0.55892,
+            0.29093,
+            0.16256,
+            0.02135,
+            -0.11477,
+            -0.17119,
+            -0.32726,
+            -0.24299,
+            -0.14612,
+            -0.10338,
+            -0.09266,
+            -0.08186,
+        ),
+        (
+            -0.12146,
+            -0.15663,
+            -0.19254,
+            -0.22847,
+            None,
+            -0.44993,
+            -0.38598,
+            0.05186,
+            0.30174,
+            0.30203,
+            0.28124,
+            0.22965,
+            0.20920,
+            0.19713,
+            0.18360,
+        ),
+    ),
 }
 
 
@@ -148,8 +302,13 @@ def cavity(quick: bool = False):
         kind, lid = cloud.kind.copy(), np.zeros((cloud.count, 2))
         top = np.arange(1, cloud.wall_count - 1)
         kind[top], lid[top, 0] = WALL, 1.0
-        flow.setup(with_kinds(cloud, kind), density=1.0, viscosity=1.0 / reynolds, sound_speed=sound_speed,
-                   dissipation=DISSIPATION)
+        flow.setup(
+            with_kinds(cloud, kind),
+            density=1.0,
+            viscosity=1.0 / reynolds,
+            sound_speed=sound_speed,
+            dissipation=DISSIPATION,
+        )
         flow.set()
         flow.prescribe(lid)
         time, before = 0.0, flow.velocity()
@@ -163,15 +322,36 @@ def cavity(quick: bool = False):
         u, v = (CloughTocher2DInterpolator(cloud.points, now[:, a]) for a in range(2))
         along = np.linspace(0.0, 1.0, 101)
         lines = []
-        worst = 0.0
-        for name, at, coordinate, exact in (("u on x = 1/2", lambda s: u(0.5, s - 1.0), GHIA_Y, GHIA[reynolds][0]),
-                                            ("v on y = 1/2", lambda s: v(s, -0.5), GHIA_X, GHIA[reynolds][1])):
+        for name, at, coordinate, exact in (
+            ("u on x = 1/2", lambda s: u(0.5, s - 1.0), GHIA_Y, GHIA[reynolds][0]),
+            ("v on y = 1/2", lambda s: v(s, -0.5), GHIA_X, GHIA[reynolds][1]),
+        ):
             known = [(s, e) for s, e in zip(coordinate, exact) if e is not None]
             place, values = np.array(known).T
             error = float(np.abs(at(place) - values).max())
-            rows.append(Row("cavity", f"{name}, Re {reynolds}, largest difference / U", None, None, error, 0.02,
-                            note=f"{cloud.count} nodes ({round(1 / spacing) + 1} to a side), steady at t = {time:g}, c {sound_speed:g}, dissipation {DISSIPATION:g}"))
+            rows.append(
+                Row(
+                    "cavity",
+                    f"{name}, Re {reynolds}, largest difference / U",
+                    None,
+                    None,
+                    error,
+                    0.02,
+                    note=(
+                        f"{cloud.count} nodes ({round(1 / spacing) + 1} to a side), steady at t "
+                        f"= {time:g}, c {sound_speed:g}, dissipation {DISSIPATION:g}"
+                    ),
+                )
+            )
             lines += [(name, along, at(along)), (f"{name}, Ghia et al.", place, values)]
-        figures.append({"title": f"Lid-driven cavity, Re {reynolds}", "x": "y or x", "y": "velocity / lid speed",
-                        "log": False, "lines": lines, "points": True})
+        figures.append(
+            {
+                "title": f"Lid-driven cavity, Re {reynolds}",
+                "x": "y or x",
+                "y": "velocity / lid speed",
+                "log": False,
+                "lines": lines,
+                "points": True,
+            }
+        )
     return rows, figures

@@ -55,6 +55,10 @@ def differences(time_ms: ArrayLike, displacement_mm: ArrayLike, measured: Measur
         pair = getattr(here, name), getattr(there, name)
         return None if None in pair else pair[0] - pair[1]
 
-    return {"peak_mm": less("peak"), "peak_time_ms": less("peak_time_ms"), "rise_time_ms": less("rise_time_ms"),
-            "fall_time_ms": less("fall_time_ms"),
-            "rms_mm": float(np.sqrt(np.mean(off**2))) if inside.any() else None}
+    return {
+        "peak_mm": less("peak"),
+        "peak_time_ms": less("peak_time_ms"),
+        "rise_time_ms": less("rise_time_ms"),
+        "fall_time_ms": less("fall_time_ms"),
+        "rms_mm": float(np.sqrt(np.mean(off**2))) if inside.any() else None,
+    }

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Iterator
 
 from taichi_eye.errors import SceneError
 
@@ -18,7 +18,7 @@ def refuse_taken(out: str | Path | None) -> None:
     try:
         taken = Path(out).is_dir() and any(Path(out).iterdir())
     except (OSError, ValueError):
-        return          # said by `create_run_folder`, with the reason
+        return  # said by `create_run_folder`, with the reason
     if taken:
         raise SceneError(f"--out {out}: is not empty; a run never overwrites, name a new or an empty folder")
 
@@ -45,7 +45,7 @@ def create_run_folder(out: str | Path | None, stem: str, parent: str | Path = "r
             try:
                 folder.mkdir()
                 return folder
-            except FileExistsError:            # another run took this number meanwhile
+            except FileExistsError:  # another run took this number meanwhile
                 number += 1
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)

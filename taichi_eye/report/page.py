@@ -1,4 +1,5 @@
 """One self-contained HTML page per command: tables, figures as PNG inside it, and plain words."""
+
 import base64
 import html
 import io
@@ -11,13 +12,15 @@ from taichi_eye.report.folder import write_text
 
 COLOURS = ("#14539a", "#c9641a", "#3d8b57", "#8c3a8c", "#a88a1a", "#4c5560", "#b03a48", "#2a9d9d")
 STYLE = """body{font:15px/1.5 system-ui,sans-serif;color:#22262b;max-width:75rem;margin:2rem auto;padding:0 1rem}
-table{border-collapse:collapse;font-size:13px;margin:1rem 0}td,th{padding:.2rem .7rem;border-bottom:1px solid #d8dce0;text-align:left}
+table{border-collapse:collapse;font-size:13px;margin:1rem 0}td,th{padding:.2rem .7rem;border-bottom:1px solid
+#d8dce0;text-align:left}
 td.n{text-align:right;font-variant-numeric:tabular-nums}.no{background:#fbe3e0}.ok{color:#26713f}
 img{max-width:100%;margin:.5rem 0}figure{display:inline-block;margin:.5rem}"""
 
 
 def draw(figure: dict) -> Figure:
-    """A line plot: title, x, y, lines [(label, x, y)]; log (both axes), slope (a guide), points (even lines are points)."""
+    """A line plot: title, x, y, lines [(label, x, y)]; log (both axes), slope (a guide), points (even lines are
+    points)."""
     canvas = Figure(figsize=(6.4, 4.3), dpi=110, layout="constrained")
     axes = canvas.subplots()
     for k, (label, x, y) in enumerate(figure["lines"]):
@@ -35,8 +38,14 @@ def draw(figure: dict) -> Figure:
             x = np.array([ticks[0], ticks[-1]])
             top = max(float(np.nanmax(y)) for _, _, y in figure["lines"])
             start = x[0] if figure["slope"] < 0 else x[-1]
-            axes.plot(x, 1.5 * top * (x / start) ** figure["slope"], color="#8a9199", linestyle="--", linewidth=1,
-                      label=f"order {abs(figure['slope'])}")
+            axes.plot(
+                x,
+                1.5 * top * (x / start) ** figure["slope"],
+                color="#8a9199",
+                linestyle="--",
+                linewidth=1,
+                label=f"order {abs(figure['slope'])}",
+            )
     axes.set(title=figure["title"], xlabel=figure["x"], ylabel=figure["y"])
     axes.grid(color="#e4e7ea", linewidth=0.6)
     axes.legend(fontsize=8, frameon=False)
@@ -54,8 +63,8 @@ def table(head, body, failed=()) -> str:
     """An HTML table; `failed`: indices of rows to mark."""
     lines = ["<tr>" + "".join(f"<th>{html.escape(str(cell))}</th>" for cell in head) + "</tr>"]
     for index, row in enumerate(body):
-        cells = "".join(f'<td{_numeric(cell)}>{html.escape(str(cell))}</td>' for cell in row)
-        lines.append(f'<tr{" class=no" if index in failed else ""}>{cells}</tr>')
+        cells = "".join(f"<td{_numeric(cell)}>{html.escape(str(cell))}</td>" for cell in row)
+        lines.append(f"<tr{' class=no' if index in failed else ''}>{cells}</tr>")
     return "<table>" + "".join(lines) + "</table>"
 
 
@@ -70,5 +79,8 @@ def _numeric(cell) -> str:
 
 def write_page(path: Path, title: str, parts: list[str]) -> None:
     """Write the page; `parts`: HTML."""
-    write_text(path, f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title>"
-               f"<style>{STYLE}</style><h1>{html.escape(title)}</h1>{''.join(parts)}</html>\n")
+    write_text(
+        path,
+        f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title>"
+        f"<style>{STYLE}</style><h1>{html.escape(title)}</h1>{''.join(parts)}</html>\n",
+    )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Mapping
 from xml.sax.saxutils import quoteattr
 
 import meshio
@@ -26,8 +26,15 @@ class ParaviewWriter:
         self._entries: list[str] = []
         self._count = 0
 
-    def add_frame(self, time_ms: float, nodes: np.ndarray, triangles: np.ndarray, fields: Mapping[str, np.ndarray],
-                  membrane: np.ndarray, membrane_fields: Mapping[str, np.ndarray]) -> None:
+    def add_frame(
+        self,
+        time_ms: float,
+        nodes: np.ndarray,
+        triangles: np.ndarray,
+        fields: Mapping[str, np.ndarray],
+        membrane: np.ndarray,
+        membrane_fields: Mapping[str, np.ndarray],
+    ) -> None:
         """Write one frame.
 
         nodes: fluid nodes, shape [n, 2], m; triangles over them, shape [t, 3]; fields on them, shape [n] or [n, 2].
@@ -38,16 +45,32 @@ class ParaviewWriter:
         parts = (("fluid", nodes, "triangle", triangles, fields), ("membrane", membrane, "line", line, membrane_fields))
         for index, (part, points, kind, cells, data) in enumerate(parts):
             name = f"{part}-{self._count:04d}.vtu"
-            mesh = meshio.Mesh(_flat(points), [(kind, np.asarray(cells))],
-                               point_data={key: _flat(value) for key, value in data.items()})
+            mesh = meshio.Mesh(
+                _flat(points),
+                [(kind, np.asarray(cells))],
+                point_data={key: _flat(value) for key, value in data.items()},
+            )
             with replacing(self._folder / name) as temporary:
                 mesh.write(temporary, file_format="vtu")
-            self._entries.append(f'    <DataSet timestep="{float(time_ms)!r}" group="" part="{index}" '
-                                 f"name={quoteattr(part)} file={quoteattr(name)}/>")
+            self._entries.append(
+                f'    <DataSet timestep="{float(time_ms)!r}" group="" part="{index}" '
+                f"name={quoteattr(part)} file={quoteattr(name)}/>"
+            )
         self._count += 1
-        write_text(self._folder / "fields.pvd", "\n".join([
-            '<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">',
-            "  <Collection>", *self._entries, "  </Collection>", "</VTKFile>", ""]))
+        write_text(
+            self._folder / "fields.pvd",
+            "\n".join(
+                [
+                    '<?xml version="1.0"?>',
+                    '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">',
+                    "  <Collection>",
+                    *self._entries,
+                    "  </Collection>",
+                    "</VTKFile>",
+                    "",
+                ]
+            ),
+        )
 
 
 def _flat(values: np.ndarray) -> np.ndarray:

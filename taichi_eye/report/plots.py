@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,7 +15,7 @@ from taichi_eye.report.folder import replacing
 from taichi_eye.report.history import History, summarise
 
 INK, APEX, LOAD, MEASURED = "#22262b", "#14539a", "#c9641a", "#3d8b57"
-MOVED_MM = 1e-3           # below it the eye counts as at rest, without peak and half heights
+MOVED_MM = 1e-3  # below it the eye counts as at rest, without peak and half heights
 MARGIN_PX, CAPTION_PX, FRAME_WIDTH_MAX_PX = 14, 36, 800
 
 
@@ -39,11 +39,26 @@ def plot_apex(path: Path, traces: Mapping[str, np.ndarray], measured: Measured |
     tallest = max(here.peak, MOVED_MM)
     if measured is not None:
         what = "deflection" if measured.column == "deflection_mm" else "apex displacement"
-        lines += axes.plot(measured.time_ms, measured.displacement_mm, color=MEASURED, linewidth=1.2, marker="o",
-                           markersize=2.6, label=f"{what} measured ({_plain(measured.name)})")
+        lines += axes.plot(
+            measured.time_ms,
+            measured.displacement_mm,
+            color=MEASURED,
+            linewidth=1.2,
+            marker="o",
+            markersize=2.6,
+            label=f"{what} measured ({_plain(measured.name)})",
+        )
         tallest = max(tallest, measured.displacement_mm.max())
-        axes.text(0.985, 0.80, _describe(measured), transform=axes.transAxes, ha="right", va="top", fontsize=10,
-                  color=MEASURED)
+        axes.text(
+            0.985,
+            0.80,
+            _describe(measured),
+            transform=axes.transAxes,
+            ha="right",
+            va="top",
+            fontsize=10,
+            color=MEASURED,
+        )
     span = float(time[0]), float(time[-1])
     _annotate(axes, here, push, span, tallest)
 
@@ -69,12 +84,18 @@ def _annotate(axes: Axes, here: History, push: History, span: tuple[float, float
 
     span: of the time axis; tallest: of what is drawn [mm].
     """
+
     def say(text: str, at: tuple[float, float], offset: tuple[float, float], ha: str, va: str) -> None:
         axes.annotate(text, at, offset, textcoords="offset points", ha=ha, va=va, fontsize=10, color=INK)
 
     if here.peak < MOVED_MM:
-        say(f"largest displacement inwards {1000 * max(here.peak, 0.0):.3g} \N{MICRO SIGN}m",
-            (0.5 * sum(span), max(here.peak, 0.0)), (0, 13), "center", "bottom")
+        say(
+            f"largest displacement inwards {1000 * max(here.peak, 0.0):.3g} \N{MICRO SIGN}m",
+            (0.5 * sum(span), max(here.peak, 0.0)),
+            (0, 13),
+            "center",
+            "bottom",
+        )
         return
     place = (here.peak_time_ms - span[0]) / max(span[1] - span[0], 1e-6)
     ha = "left" if place < 0.2 else "right" if place > 0.8 else "center"
@@ -83,8 +104,9 @@ def _annotate(axes: Axes, here: History, push: History, span: tuple[float, float
     if turned and 0 < push.peak and push.peak_time_ms < span[1]:
         delay = here.peak_time_ms - push.peak_time_ms
         text += f"\n{abs(delay):.2f} ms {'after' if delay >= 0 else 'before'} the peak of the puff"
-    axes.plot(here.peak_time_ms, here.peak, "o", color=APEX, markersize=5.5, markeredgecolor="white", zorder=5,
-              clip_on=False)
+    axes.plot(
+        here.peak_time_ms, here.peak, "o", color=APEX, markersize=5.5, markeredgecolor="white", zorder=5, clip_on=False
+    )
     if tallest > here.peak:
         axes.plot([here.peak_time_ms] * 2, [here.peak, 1.03 * tallest], color=APEX, linewidth=0.9, linestyle=":")
     say(text, (here.peak_time_ms, tallest), ({"left": 6, "center": 0, "right": -6}[ha], 13), ha, "bottom")
@@ -98,11 +120,24 @@ def _annotate(axes: Axes, here: History, push: History, span: tuple[float, float
         axes.plot(time, half, "o", color="white", markeredgecolor=APEX, markersize=5.5, zorder=5)
         say(f"50 % at\n{time:.2f} ms", (time, 0.0), (shift, 8), side, "bottom")
     if here.fwhm_ms is not None:
-        axes.annotate("", (here.rise_time_ms, half), (here.fall_time_ms, half), zorder=4,
-                      arrowprops={"arrowstyle": "<->", "color": APEX, "linewidth": 0.9, "shrinkA": 5, "shrinkB": 5})
+        axes.annotate(
+            "",
+            (here.rise_time_ms, half),
+            (here.fall_time_ms, half),
+            zorder=4,
+            arrowprops={"arrowstyle": "<->", "color": APEX, "linewidth": 0.9, "shrinkA": 5, "shrinkB": 5},
+        )
         middle = 0.5 * (here.rise_time_ms + here.fall_time_ms)
-        axes.annotate(f"width {here.fwhm_ms:.2f} ms\nfall : rise {here.asymmetry:.2f}", (middle, half), (0, -5),
-                      textcoords="offset points", ha="center", va="top", fontsize=10, color=INK)
+        axes.annotate(
+            f"width {here.fwhm_ms:.2f} ms\nfall : rise {here.asymmetry:.2f}",
+            (middle, half),
+            (0, -5),
+            textcoords="offset points",
+            ha="center",
+            va="top",
+            fontsize=10,
+            color=INK,
+        )
 
 
 def _describe(measured: Measured) -> str:
@@ -152,8 +187,15 @@ def plot_sheet(path: Path, frames: Sequence[tuple[float, np.ndarray]]) -> None:
             picture = picture.resize((width, height), Image.Resampling.LANCZOS)
         figure.figimage(np.asarray(picture), left, bottom, origin="upper")
         for text, shift, weight in (("abcdefghijkl"[index], 0, "bold"), (f"{time_ms:.2f} ms", 16, "normal")):
-            figure.text((left + shift) / total_width, (bottom + height + 5) / total_height, text, color=INK,
-                        fontsize=11, fontweight=weight, va="bottom")
+            figure.text(
+                (left + shift) / total_width,
+                (bottom + height + 5) / total_height,
+                text,
+                color=INK,
+                fontsize=11,
+                fontweight=weight,
+                va="bottom",
+            )
     _save(figure, path)
 
 

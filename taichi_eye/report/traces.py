@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Mapping
 
 import numpy as np
 
@@ -12,24 +12,24 @@ from taichi_eye.report.folder import replacing
 
 COLUMNS = (
     "time_ms",
-    "apex_displacement_mm",        # inward positive
-    "apex_velocity_m_s",           # inward positive
-    "puff_apex_kpa",               # load on the apex
-    "fluid_pressure_apex_kpa",     # gauge pressure of the fluid under the apex
-    "chamber_volume_error",        # volume less that at rest, over it; what left where fluid may leave
-    "puff_work_uj",                # work of the puff since t = 0
+    "apex_displacement_mm",  # inward positive
+    "apex_velocity_m_s",  # inward positive
+    "puff_apex_kpa",  # load on the apex
+    "fluid_pressure_apex_kpa",  # gauge pressure of the fluid under the apex
+    "chamber_volume_error",  # volume less that at rest, over it; what left where fluid may leave
+    "puff_work_uj",  # work of the puff since t = 0
     "cornea_elastic_uj",
     "cornea_kinetic_uj",
     "aqueous_kinetic_uj",
     "aqueous_elastic_uj",
-    "viscous_loss_uj",             # lost to viscosity since t = 0
-    "numerical_loss_uj",           # lost to the dissipation of the scheme since t = 0
-    "outflow_loss_uj",             # carried off by fluid that left an open chamber since t = 0
-    "tissue_loss_uj",              # to the relaxing part of the cornea's stress and the globe's delay since t = 0
-    "energy_error_uj",             # work in, less what is stored, less what is lost
+    "viscous_loss_uj",  # lost to viscosity since t = 0
+    "numerical_loss_uj",  # lost to the dissipation of the scheme since t = 0
+    "outflow_loss_uj",  # carried off by fluid that left an open chamber since t = 0
+    "tissue_loss_uj",  # to the relaxing part of the cornea's stress and the globe's delay since t = 0
+    "energy_error_uj",  # work in, less what is stored, less what is lost
     "coupling_iterations",
     "coupling_residual",
-    "cornea_min_stress_kpa",       # smallest principal stress in the wall; slack at 0
+    "cornea_min_stress_kpa",  # smallest principal stress in the wall; slack at 0
 )
 WHOLE = ("coupling_iterations",)
 
@@ -47,8 +47,10 @@ def read_traces(path: Path) -> dict[str, np.ndarray]:
     """Read what `write_traces` wrote, bit for bit: float64 arrays by column, int64 for counts."""
     with open(path, encoding="utf-8", newline="") as file:
         header, *rows = csv.reader(file)
-    return {name: np.array([row[i] for row in rows], dtype=float).astype(int if name in WHOLE else float)
-            for i, name in enumerate(header)}
+    return {
+        name: np.array([row[i] for row in rows], dtype=float).astype(int if name in WHOLE else float)
+        for i, name in enumerate(header)
+    }
 
 
 def write_wall(path: Path, time_ms: np.ndarray, places_mm: np.ndarray) -> None:

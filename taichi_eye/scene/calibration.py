@@ -23,7 +23,7 @@ DEFAULT_K = 86.1
 
 def lambert_w(x: float) -> float:
     """Principal branch of Lambert's W for x >= 0: the w with w exp(w) = x."""
-    w = math.log1p(x)                  # an upper bound, from which Newton descends monotonically
+    w = math.log1p(x)  # an upper bound, from which Newton descends monotonically
     for _ in range(100):
         step = (w - x * math.exp(-w)) / (1.0 + w)
         w -= step

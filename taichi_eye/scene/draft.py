@@ -15,7 +15,7 @@ class Draft:
     def __init__(self, file: str | None):
         self.file = file
         self.values: dict[str, Any] = {}
-        self.origin: dict[str, str] = {}          # "file" or "--set"; absent: the default
+        self.origin: dict[str, str] = {}  # "file" or "--set"; absent: the default
         self.problems: list[str] = []
 
     def __getitem__(self, name: str) -> Any:
@@ -30,8 +30,9 @@ class Draft:
         origins = {self.origin.get(name) for name in names}
         sources = [self.file] if "file" in origins else []
         sources += ["--set"] if "--set" in origins else []
-        said = ", ".join(f"{name} = {written(self.values[name])}" + ("" if name in self.origin else " (default)")
-                         for name in names)
+        said = ", ".join(
+            f"{name} = {written(self.values[name])}" + ("" if name in self.origin else " (default)") for name in names
+        )
         self.problems.append(f"{' with '.join(sources) or self.file or 'scene'}: {said}: {message}")
 
     def stop_if_refused(self) -> None:

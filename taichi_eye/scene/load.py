@@ -5,8 +5,9 @@ from __future__ import annotations
 import difflib
 import math
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Sequence
+from typing import Any
 
 from taichi_eye.errors import SceneError
 from taichi_eye.scene.draft import Draft, written
@@ -39,8 +40,12 @@ def load_scene(path: str | Path | None = None, overrides: Sequence[str] = ()) ->
     for name, _, spec in all_keys():
         draft.values.setdefault(name, spec.default)
     resolve(draft)
-    return Scene(**{section: build(**{name: draft[f"{section}.{name}"] for name in keys_of(section)})
-                    for section, build in SECTIONS.items()})
+    return Scene(
+        **{
+            section: build(**{name: draft[f"{section}.{name}"] for name in keys_of(section)})
+            for section, build in SECTIONS.items()
+        }
+    )
 
 
 def dump_scene(scene: Scene) -> str:
@@ -71,8 +76,11 @@ def _read_file(draft: Draft, path: Path) -> None:
         raise SceneError(f"{path}: malformed TOML: {error}") from None
     for section, table in content.items():
         if not isinstance(table, dict):
-            wanted = (f"must be a table, [{section}]" if section in SECTIONS else
-                      f"a key must stand in a section{_hint_section(section, section)}")
+            wanted = (
+                f"must be a table, [{section}]"
+                if section in SECTIONS
+                else f"a key must stand in a section{_hint_section(section, section)}"
+            )
             draft.problems.append(f"{path}: {section} = {written(table)}: {wanted}")
             continue
         if section not in SECTIONS:
@@ -108,8 +116,9 @@ def _put(draft: Draft, source: str, section: str, name: str, value: Any, origin:
     """Check one value on its own and take it over, or record what is wrong with it."""
     full = f"{section}.{name}"
     if section not in SECTIONS:
-        draft.problems.append(f"{source}{full} = {written(value)}: unknown section [{section}]"
-                              f"{_hint_section(section, name)}")
+        draft.problems.append(
+            f"{source}{full} = {written(value)}: unknown section [{section}]{_hint_section(section, name)}"
+        )
         return
     if name not in keys_of(section):
         draft.problems.append(f"{source}{full} = {written(value)}: unknown key{_hint_key(section, name)}")
@@ -154,8 +163,13 @@ def _encodable(text: str) -> bool:
 
 
 def _allowed(kind: type, spec: Key) -> str:
-    words = f"one of {spec.bounds()}" if spec.choices else " ".join(
-        part for part in (_KIND_WORDS[kind], spec.unit and f"in {spec.unit},", spec.bounds()) if part).rstrip(",")
+    words = (
+        f"one of {spec.bounds()}"
+        if spec.choices
+        else " ".join(
+            part for part in (_KIND_WORDS[kind], spec.unit and f"in {spec.unit},", spec.bounds()) if part
+        ).rstrip(",")
+    )
     return words + (' or "auto"' if spec.computed else "")
 
 

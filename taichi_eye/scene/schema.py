@@ -5,10 +5,11 @@ documentation all read the `Key` that stands in the field's metadata. To add a k
 """
 
 # No `from __future__ import annotations` here: the loader reads the field types as classes.
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
-from typing import Any, Iterator
+from typing import Any
 
-AUTO = "auto"             # as a value: compute this key from the others
+AUTO = "auto"  # as a value: compute this key from the others
 
 
 @dataclass(frozen=True)
@@ -32,10 +33,16 @@ class Key:
         """True where a value of the right type lies within the bounds or among the choices."""
         if self.choices:
             return value in self.choices
-        return not (self.above is not None and not value > self.above
-                    or self.at_least is not None and not value >= self.at_least
-                    or self.below is not None and not value < self.below
-                    or self.at_most is not None and not value <= self.at_most)
+        return not (
+            self.above is not None
+            and not value > self.above
+            or self.at_least is not None
+            and not value >= self.at_least
+            or self.below is not None
+            and not value < self.below
+            or self.at_most is not None
+            and not value <= self.at_most
+        )
 
     def bounds(self) -> str:
         """The allowed values in words, e.g. "> 0 and <= 100"; empty where anything goes."""
@@ -55,8 +62,9 @@ class Eye:
     """The eye at rest"""
 
     iop_mmhg: float = key(15.0, "intraocular pressure over atmosphere", unit="mmHg", at_least=1, at_most=100)
-    whole_eye_movement_mm: float = key(0.0, "largest retreat of the globe, over the measured course; 0: it stays",
-                                       unit="mm", at_least=0, at_most=2)
+    whole_eye_movement_mm: float = key(
+        0.0, "largest retreat of the globe, over the measured course; 0: it stays", unit="mm", at_least=0, at_most=2
+    )
 
 
 @dataclass(frozen=True)
@@ -66,41 +74,71 @@ class Cornea:
     radius_mm: float = key(7.8, "radius of the cap at rest (R)", unit="mm", above=0, at_most=100)
     limbus_radius_mm: float = key(5.8, "radius of the fixed rim, below radius_mm", unit="mm", above=0, below=100)
     thickness_mm: float = key(0.55, "thickness (h), on the axis", unit="mm", above=0, at_most=2)
-    limbus_thickness_mm: float = key(AUTO, "thickness at the rim, a parabola in between; auto: that on the axis",
-                                     unit="mm", above=0, at_most=2)
-    flexural_modulus_mpa: float = key(0.0, "Young's modulus of bending, D = E h^3 / (12 (1 - nu^2)); 0: a membrane",
-                                      unit="MPa", at_least=0, at_most=100)
-    viscoelastic_share: float = key(0.0, "stress of a sudden stretch over that of a slow one, less 1 (g); 0: elastic", at_least=0,
-                                    at_most=20)
-    relaxation_ms: float = key(1.0, "time in which that overstress fades to 1/e (tau)", unit="ms", at_least=0.01, at_most=1e6)
+    limbus_thickness_mm: float = key(
+        AUTO, "thickness at the rim, a parabola in between; auto: that on the axis", unit="mm", above=0, at_most=2
+    )
+    flexural_modulus_mpa: float = key(
+        0.0,
+        "Young's modulus of bending, D = E h^3 / (12 (1 - nu^2)); 0: a membrane",
+        unit="MPa",
+        at_least=0,
+        at_most=100,
+    )
+    viscoelastic_share: float = key(
+        0.0, "stress of a sudden stretch over that of a slow one, less 1 (g); 0: elastic", at_least=0, at_most=20
+    )
+    relaxation_ms: float = key(
+        1.0, "time in which that overstress fades to 1/e (tau)", unit="ms", at_least=0.01, at_most=1e6
+    )
     density_kg_m3: float = key(1050.0, "density of the tissue", unit="kg/m^3", at_least=100, at_most=10000)
-    stiffness_a_pa: float = key(AUTO, "energy scale A; auto: 1562, or what k and the prestrain ask for",
-                                unit="Pa", above=0, at_most=1e9)
-    exponent_k: float = key(AUTO, "k = s (1 + nu); auto: 86.1, or from s, or what A and the prestrain ask for",
-                            above=0, at_most=1e5)
+    stiffness_a_pa: float = key(
+        AUTO, "energy scale A; auto: 1562, or what k and the prestrain ask for", unit="Pa", above=0, at_most=1e9
+    )
+    exponent_k: float = key(
+        AUTO, "k = s (1 + nu); auto: 86.1, or from s, or what A and the prestrain ask for", above=0, at_most=1e5
+    )
     exponent_s: float = key(AUTO, "s = k / (1 + nu); auto: from k", above=0, at_most=1e5)
     poisson_ratio: float = key(0.49, "in-plane coupling nu", at_least=0, at_most=0.5)
-    prestrain: float = key(AUTO, "Green-Lagrange prestrain eps0; auto: such that the wall carries the IOP at rest",
-                           above=0, at_most=0.5)
+    prestrain: float = key(
+        AUTO, "Green-Lagrange prestrain eps0; auto: such that the wall carries the IOP at rest", above=0, at_most=0.5
+    )
 
 
 @dataclass(frozen=True)
 class Chamber:
     """The anterior chamber behind the cornea; its back is rigid"""
 
-    sealed: bool = key(True, "no fluid leaves; false: it leaves everywhere at the rate that holds the mean pressure at "
-                       "the IOP")
+    sealed: bool = key(
+        True, "no fluid leaves; false: it leaves everywhere at the rate that holds the mean pressure at the IOP"
+    )
 
-    depth_mm: float = key(AUTO, "apex to back plane on the axis, at least the cap depth; auto: the cap depth",
-                          unit="mm", above=0, at_most=100)
-    compliance_mm3_mmhg: float = key(0.0, "volume that the rest of the globe takes up per pressure, where sealed",
-                                     unit="mm^3/mmHg", at_least=0, at_most=100)
-    globe_delay_ms: float = key(0.0, "time in which the globe follows the pressure, its wall being viscous; 0: at once", unit="ms",
-                                at_least=0, at_most=1000)
-    lens_radius_mm: float = key(0.0, "radius of curvature of a lens cap on the back plane; 0: none",
-                                unit="mm", at_least=0, at_most=100)
-    lens_height_mm: float = key(0.0, "height of that cap over the back plane, below its radius; 0: none",
-                                unit="mm", at_least=0, at_most=100)
+    depth_mm: float = key(
+        AUTO,
+        "apex to back plane on the axis, at least the cap depth; auto: the cap depth",
+        unit="mm",
+        above=0,
+        at_most=100,
+    )
+    compliance_mm3_mmhg: float = key(
+        0.0,
+        "volume that the rest of the globe takes up per pressure, where sealed",
+        unit="mm^3/mmHg",
+        at_least=0,
+        at_most=100,
+    )
+    globe_delay_ms: float = key(
+        0.0,
+        "time in which the globe follows the pressure, its wall being viscous; 0: at once",
+        unit="ms",
+        at_least=0,
+        at_most=1000,
+    )
+    lens_radius_mm: float = key(
+        0.0, "radius of curvature of a lens cap on the back plane; 0: none", unit="mm", at_least=0, at_most=100
+    )
+    lens_height_mm: float = key(
+        0.0, "height of that cap over the back plane, below its radius; 0: none", unit="mm", at_least=0, at_most=100
+    )
 
 
 @dataclass(frozen=True)
@@ -115,10 +153,14 @@ class Aqueous:
 class PuffLoad:
     """The air puff: pressure at the apex over time, times a radial profile"""
 
-    time_course: str = key("gaussian", "eq. 2 of the paper, the course measured on a Corvis ST, or puff.file",
-                           choices=("gaussian", "corvis", "file"))
-    peak_kpa: float = key(10.0, "largest pressure at the apex; a file brings its own", unit="kPa",
-                          at_least=0, at_most=100)
+    time_course: str = key(
+        "gaussian",
+        "eq. 2 of the paper, the course measured on a Corvis ST, or puff.file",
+        choices=("gaussian", "corvis", "file"),
+    )
+    peak_kpa: float = key(
+        10.0, "largest pressure at the apex; a file brings its own", unit="kPa", at_least=0, at_most=100
+    )
     duration_ms: float = key(30.0, "T of the gaussian course, centred at T/2", unit="ms", above=0, at_most=1000)
     spread_b: float = key(25.0, "b of the gaussian course exp(-b (2t-T)^2/(4T^2))", above=0, at_most=1e4)
     spread_a: float = key(21.5, "a of the paper's radial profile exp(-a sin^2 phi)", at_least=0, at_most=1e4)
@@ -131,32 +173,59 @@ class PuffLoad:
 class Numerics:
     """What is modelled, and the discretisation of the fluid, the membrane and their coupling"""
 
-    fidelity: str = key("mfpm", "model of the liquid: none, IOP constant; uniform pressure of the sealed chamber; added mass "
-                        "of potential flow; the resolved flow; or the cheapest of them that keeps the tolerance, at a "
-                        "spacing and sound speed that do", choices=("membrane", "cavity", "added_mass", "mfpm", "auto"))
-    tolerance_percent: float = key(1.0, "for auto: largest error of the apex's peak, 50 % times and whole history", unit="%",
-                                   at_least=0.1, at_most=50)
-    tolerance_on: str = key("apex", "for auto: what the tolerance holds for; pressure: that under the apex as well",
-                            choices=("apex", "pressure"))
+    fidelity: str = key(
+        "mfpm",
+        "model of the liquid: none, IOP constant; uniform pressure of the sealed chamber; added mass "
+        "of potential flow; the resolved flow; or the cheapest of them that keeps the tolerance, at a "
+        "spacing and sound speed that do",
+        choices=("membrane", "cavity", "added_mass", "mfpm", "auto"),
+    )
+    tolerance_percent: float = key(
+        1.0,
+        "for auto: largest error of the apex's peak, 50 % times and whole history",
+        unit="%",
+        at_least=0.1,
+        at_most=50,
+    )
+    tolerance_on: str = key(
+        "apex",
+        "for auto: what the tolerance holds for; pressure: that under the apex as well",
+        choices=("apex", "pressure"),
+    )
     spacing_mm: float = key(0.1, "node spacing of the fluid", unit="mm", above=0, at_most=10)
     basis: str = key("quadratic", "Taylor basis of the mesh-free operators", choices=("quadratic", "cubic"))
-    sound_speed_m_s: float = key(80.0, "numerical speed of sound; its compliance deepens the dent as c^-2", unit="m/s",
-                                    at_least=1, at_most=2000)
-    mean_sound_speed_m_s: float = key(AUTO, "of the mean pressure of a sealed chamber, at least sound_speed_m_s: takes the "
-                                      "compliance out of the dent at no cost; auto: sound_speed_m_s", unit="m/s",
-                                      at_least=1, at_most=2000)
+    sound_speed_m_s: float = key(
+        80.0, "numerical speed of sound; its compliance deepens the dent as c^-2", unit="m/s", at_least=1, at_most=2000
+    )
+    mean_sound_speed_m_s: float = key(
+        AUTO,
+        "of the mean pressure of a sealed chamber, at least sound_speed_m_s: takes the "
+        "compliance out of the dent at no cost; auto: sound_speed_m_s",
+        unit="m/s",
+        at_least=1,
+        at_most=2000,
+    )
     cfl: float = key(0.8, "factor on the stable time step", above=0, at_most=1)
-    dissipation: float = key(0.5, "fourth-difference dissipation of p and u, in units of c h; unstable below 0.3",
-                              at_least=0, at_most=1)
+    dissipation: float = key(
+        0.5, "fourth-difference dissipation of p and u, in units of c h; unstable below 0.3", at_least=0, at_most=1
+    )
     wall_condition: str = key("slip", "fluid at the walls", choices=("slip", "no_slip"))
-    coupling: str = key("iterated", "fluid and membrane iterated to the tolerance, or one exchange a step",
-                        choices=("iterated", "loose"))
+    coupling: str = key(
+        "iterated",
+        "fluid and membrane iterated to the tolerance, or one exchange a step",
+        choices=("iterated", "loose"),
+    )
     relaxation: str = key("aitken", "relaxation of the coupling iteration", choices=("aitken", "fixed"))
     relaxation_factor: float = key(1.0, "relaxation factor, the first one with aitken", above=0, at_most=2)
     coupling_tolerance: float = key(1e-8, "relative residual at which the iteration ends", above=0, at_most=0.1)
     coupling_iterations_max: int = key(20, "the run stops where a step needs more", at_least=1, at_most=1000)
-    refresh_travel: float = key(AUTO, "travel of the cornea, in spacings, after which operator weights (mfpm) or the flow's "
-                                "map (added_mass) are made anew; auto: 0.05, and 0.5", above=0, at_most=10)
+    refresh_travel: float = key(
+        AUTO,
+        "travel of the cornea, in spacings, after which operator weights (mfpm) or the flow's "
+        "map (added_mass) are made anew; auto: 0.05, and 0.5",
+        above=0,
+        at_most=10,
+    )
     duration_ms: float = key(32.0, "simulated time", unit="ms", above=0, at_most=1000)
 
 
@@ -164,21 +233,25 @@ class Numerics:
 class Camera:
     """The film: view, image geometry and frame times"""
 
-    view: str = key("both", "slit image, node cloud, or the one above the other", choices=("scheimpflug", "particles", "both"))
+    view: str = key(
+        "both", "slit image, node cloud, or the one above the other", choices=("scheimpflug", "particles", "both")
+    )
     colour_by: str = key("pressure", "colour of the nodes", choices=("pressure", "speed"))
     width_px: int = key(576, "width of the slit image, even", unit="px", at_least=64, at_most=4096)
     height_px: int = key(200, "height of the slit image, even", unit="px", at_least=64, at_most=4096)
     pixel_x_mm: float = key(0.015625, "width of a pixel", unit="mm", above=0, at_most=1)
     pixel_y_mm: float = key(0.0165, "height of a pixel", unit="mm", above=0, at_most=1)
     frame_interval_ms: float = key(0.2315, "time between frames", unit="ms", above=0, at_most=1000)
-    frame_count: int = key(AUTO, "frames, the first at rest; as many as fit into numerics.duration_ms", at_least=1,
-                           at_most=100000)
+    frame_count: int = key(
+        AUTO, "frames, the first at rest; as many as fit into numerics.duration_ms", at_least=1, at_most=100000
+    )
     angle_deg: float = key(45.0, "camera axis to slit plane", unit="deg", above=0, below=90)
     refractive_index: float = key(1.376, "of the cornea; shortens what lies behind its front", at_least=1, at_most=2)
     apex_column_px: int = key(288, "image column of the axis", unit="px", at_least=0, at_most=4095)
     apex_row_px: int = key(16, "image row of the apex at rest", unit="px", at_least=0, at_most=4095)
-    optics: str = key("full", "what the instrument's camera sees, or a plain band between the two edges",
-                      choices=("full", "plain"))
+    optics: str = key(
+        "full", "what the instrument's camera sees, or a plain band between the two edges", choices=("full", "plain")
+    )
     epithelium: bool = key(True, "bright anterior line")
     stroma: bool = key(True, "scatter of the stroma")
     iris: bool = key(True, "iris beside the pupil")

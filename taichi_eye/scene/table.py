@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Sequence
 
 import numpy as np
 
@@ -20,7 +20,7 @@ def read_text(path: Path) -> str:
         raise SceneError(f"{path}: no such file") from None
     except IsADirectoryError:
         raise SceneError(f"{path}: is a directory, not a file") from None
-    except (OSError, ValueError) as error:       # ValueError: a null character in the path
+    except (OSError, ValueError) as error:  # ValueError: a null character in the path
         reason = getattr(error, "strerror", None) or str(error)
         raise SceneError(f"{path}: cannot be read ({reason})") from None
     try:
@@ -51,8 +51,9 @@ def read_table(path: Path, wanted: Sequence[str]) -> dict[str, np.ndarray]:
     present = [name for name in wanted if name in header]
     if "time_ms" not in present or len(present) < 2:
         others = " or ".join(name for name in wanted if name != "time_ms")
-        raise SceneError(f'{path}: the header is "{",".join(header)[:200]}"; needed are the columns '
-                         f"time_ms and {others}")
+        raise SceneError(
+            f'{path}: the header is "{",".join(header)[:200]}"; needed are the columns time_ms and {others}'
+        )
     for name in present:
         if header.count(name) > 1:
             raise SceneError(f"{path}: the header names {name} more than once")
@@ -71,8 +72,9 @@ def read_table(path: Path, wanted: Sequence[str]) -> dict[str, np.ndarray]:
             table[name].append(value)
         times = table["time_ms"]
         if len(times) > 1 and not times[-1] > times[-2]:
-            raise SceneError(f"{path}: line {line}: time_ms = {times[-1]:g} does not increase "
-                             f"(the row before has {times[-2]:g})")
+            raise SceneError(
+                f"{path}: line {line}: time_ms = {times[-1]:g} does not increase (the row before has {times[-2]:g})"
+            )
     if len(rows) < 2:
         raise SceneError(f"{path}: has {len(rows)} row(s) of numbers; at least two are needed")
     return {name: np.array(column) for name, column in table.items()}
@@ -85,6 +87,8 @@ def read_puff_file(path: Path) -> tuple[np.ndarray, np.ndarray]:
     far = np.abs(pressure_kpa) > 100
     if far.any():
         row = int(far.argmax())
-        raise SceneError(f"{path}: pressure_kpa = {pressure_kpa[row]:g} at time_ms = {time_ms[row]:g}; allowed is "
-                         "-100 to 100 kPa (mmHg times 0.133322 is kPa)")
+        raise SceneError(
+            f"{path}: pressure_kpa = {pressure_kpa[row]:g} at time_ms = {time_ms[row]:g}; allowed is "
+            "-100 to 100 kPa (mmHg times 0.133322 is kPa)"
+        )
     return time_ms, pressure_kpa

@@ -43,11 +43,12 @@ velocity and the pressure it has, so momentum keeps its equation and continuity 
 which holds the mean excess pressure at zero (the mass fix then removes what collocation leaves of it). The leaving
 fluid carries off q (rho u^2/2 + p + elastic energy) per volume and time, and does the work IOP (V0 - V) outside.
 """
+
 import numpy as np
-import taichi as ti
 
 from taichi_eye.backend import real
 from taichi_eye.cloud.packing import FIXED, FREE, SLIDE, WALL, Cloud
+from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.mfpm.neighbours import NeighbourLists
 from taichi_eye.mfpm.operators import CONDITION_LIMIT, SEARCH_RADIUS, STENCIL, WIDTH, MfpmOperators
 
@@ -82,8 +83,10 @@ class Aqueous:
         self.kind, self.wall_index = ti.field(ti.i32), ti.field(ti.i32)
         self.viscous_loss, self.numerical_loss = ti.field(fp), ti.field(fp)
         # what a pass reads together lies together: fewer streams from memory at once
-        for together in ((self.viscous_loss, self.numerical_loss),
-                         (self.volume, self.wall_fraction, self.height_fraction, self.kind, self.wall_index)):
+        for together in (
+            (self.viscous_loss, self.numerical_loss),
+            (self.volume, self.wall_fraction, self.height_fraction, self.kind, self.wall_index),
+        ):
             ti.root.dense(ti.i, capacity).place(*together)
         self.velocity_gradient = ti.Matrix.field(2, 2, fp, capacity)
         self.slopes = self.velocity_gradient
@@ -100,17 +103,32 @@ class Aqueous:
         self.density0, self.viscosity, self.sound_speed, self.mean_speed = (ti.field(fp, eyes) for _ in range(4))
         self.dissipation_length = ti.field(fp, eyes)  # alpha c h [m^2/s]
         self.rest_volume, self.last_volume, self.compliance = (ti.field(fp, eyes) for _ in range(3))
-        # of the rest of the globe: its delay [s], the volume it has taken up [m^3], work done on it [J], last mean pressure [Pa]
+        # of the rest of the globe: its delay [s], the volume it has taken up [m^3], work done on it [J], last mean
+        # pressure [Pa]
         self.globe_delay, self.taken_up, self.globe_work, self.mean_pressure = (ti.field(fp, eyes) for _ in range(4))
         self.pressure_shift = ti.field(fp, eyes)
 
-    def setup(self, cloud: Cloud, density: float, viscosity: float, sound_speed: float, dissipation: float,
-              no_slip: bool = False, sealed: bool = True, compliance: float = 0.0, globe_delay: float = 0.0,
-              mean_speed: float | None = None, stencil: int | None = None, eye: int = 0, first: int = 0) -> None:
+    def setup(
+        self,
+        cloud: Cloud,
+        density: float,
+        viscosity: float,
+        sound_speed: float,
+        dissipation: float,
+        no_slip: bool = False,
+        sealed: bool = True,
+        compliance: float = 0.0,
+        globe_delay: float = 0.0,
+        mean_speed: float | None = None,
+        stencil: int | None = None,
+        eye: int = 0,
+        first: int = 0,
+    ) -> None:
         """Place the nodes of one eye at rest, choose their stencils and compute all weights (SI units).
 
         compliance: volume [m^3/Pa] by which the rest of the globe yields, globe_delay [s] late; mean_speed: the mean
-        pressure's sound speed (default: the waves'); stencil: neighbours wanted per node; the basis has its own number. Several eyes are set up in their order, each from the node after the last one's on.
+        pressure's sound speed (default: the waves'); stencil: neighbours wanted per node; the basis has its own number.
+        Several eyes are set up in their order, each from the node after the last one's on.
         """
         self.nodes[eye] = count = cloud.count
         corner = np.zeros((count, CORNERS), dtype=np.int32)
@@ -119,11 +137,33 @@ class Aqueous:
             for node in nodes:
                 corner[node, corners[node]] = t
                 corners[node] += 1
-        self._load(cloud.points, cloud.kind, cloud.direction, cloud.wall_index, cloud.wall_fraction,
-                   cloud.height_fraction, corner, corners, first)
-        self._load_chamber(cloud.triangles, cloud.wall_count, cloud.section.volume(), density, viscosity, sound_speed,
-                           dissipation * sound_speed * cloud.spacing, no_slip, sealed, compliance, globe_delay,
-                           mean_speed or sound_speed, eye, first)
+        self._load(
+            cloud.points,
+            cloud.kind,
+            cloud.direction,
+            cloud.wall_index,
+            cloud.wall_fraction,
+            cloud.height_fraction,
+            corner,
+            corners,
+            first,
+        )
+        self._load_chamber(
+            cloud.triangles,
+            cloud.wall_count,
+            cloud.section.volume(),
+            density,
+            viscosity,
+            sound_speed,
+            dissipation * sound_speed * cloud.spacing,
+            no_slip,
+            sealed,
+            compliance,
+            globe_delay,
+            mean_speed or sound_speed,
+            eye,
+            first,
+        )
         self.neighbours.search(self.place, count, SEARCH_RADIUS[self.basis] * cloud.spacing, eye, first)
         self.operators.choose_stencils(self.place, stencil or STENCIL[self.basis], CONDITION_LIMIT[self.basis], eye)
         if self.smoother is not self.operators:
@@ -132,9 +172,18 @@ class Aqueous:
         self._remember_areas(eye)
 
     @ti.kernel
-    def _load(self, points: ti.types.ndarray(), kind: ti.types.ndarray(), direction: ti.types.ndarray(),
-              wall_index: ti.types.ndarray(), wall_fraction: ti.types.ndarray(), height_fraction: ti.types.ndarray(),
-              corner: ti.types.ndarray(), corner_count: ti.types.ndarray(), first: int):
+    def _load(
+        self,
+        points: ti.types.ndarray(),
+        kind: ti.types.ndarray(),
+        direction: ti.types.ndarray(),
+        wall_index: ti.types.ndarray(),
+        wall_fraction: ti.types.ndarray(),
+        height_fraction: ti.types.ndarray(),
+        corner: ti.types.ndarray(),
+        corner_count: ti.types.ndarray(),
+        first: int,
+    ):
         for n in range(points.shape[0]):
             i = first + n
             zero = ti.Vector([0.0, 0.0])
@@ -156,12 +205,26 @@ class Aqueous:
             self.outflow_loss[i] = 0.0
 
     @ti.kernel
-    def _load_chamber(self, triangles: ti.types.ndarray(), wall_count: int, volume: float, density: float,
-                      viscosity: float, sound_speed: float, dissipation_length: float, no_slip: int, sealed: int,
-                      compliance: float, globe_delay: float, mean_speed: float, eye: int, first: int):
+    def _load_chamber(
+        self,
+        triangles: ti.types.ndarray(),
+        wall_count: int,
+        volume: float,
+        density: float,
+        viscosity: float,
+        sound_speed: float,
+        dissipation_length: float,
+        no_slip: int,
+        sealed: int,
+        compliance: float,
+        globe_delay: float,
+        mean_speed: float,
+        eye: int,
+        first: int,
+    ):
         # one task, since each costs compile time
         ti.loop_config(serialize=True)
-        for once in range(1):
+        for _ in range(ONE_TASK):
             self.wall_count[eye], self.triangle_count[eye] = wall_count, triangles.shape[0]
             self.rest_volume[eye], self.last_volume[eye], self.pressure_shift[eye] = volume, volume, 0.0
             self.density0[eye], self.viscosity[eye], self.sound_speed[eye] = density, viscosity, sound_speed
@@ -206,8 +269,12 @@ class Aqueous:
         volume = 0.0
         for k in range(self.corner_count[i]):
             t = self.corner[i, k]
-            radii = (self.place[self.triangle[t, 0]][0] + self.place[self.triangle[t, 1]][0]
-                     + self.place[self.triangle[t, 2]][0] + self.place[i][0])
+            radii = (
+                self.place[self.triangle[t, 0]][0]
+                + self.place[self.triangle[t, 1]][0]
+                + self.place[self.triangle[t, 2]][0]
+                + self.place[i][0]
+            )
             if ti.static(self.planar):
                 volume += self.triangle_area(t) / 3.0
             else:
@@ -234,7 +301,8 @@ class Aqueous:
 
     @ti.func
     def find_velocity_gradient(self, eye, i):
-        """All that a step takes over from the one before, from pressure and velocity: what the first step starts from."""
+        """All that a step takes over from the one before, from pressure and velocity: what the first step starts
+        from."""
         self.velocity_gradient[i] = self.operators.velocity_gradient_at(i, self.velocity)
         self.laplacian[i] = self.operators.velocity_laplacian_at(i, self.place, self.velocity)
         self.divergence[i] = self.operators.divergence_from(i, self.place, self.velocity, self.velocity_gradient[i])
@@ -270,24 +338,28 @@ class Aqueous:
         rough = 0.0
         if ti.static(self.basis == "quadratic"):
             self.velocity_gradient[i], self.laplacian[i], rough = self.operators.derivatives_and_roughness(
-                i, self.place, self.velocity, self.continuity_row)
+                i, self.place, self.velocity, self.continuity_row
+            )
         else:
             self.velocity_gradient[i] = self.operators.velocity_gradient_at(i, self.velocity)
             self.laplacian[i] = self.operators.velocity_laplacian_at(i, self.place, self.velocity)
             self.slopes[i], unused, rough = self.smoother.derivatives_and_roughness(
-                i, self.place, self.velocity, self.continuity_row)
+                i, self.place, self.velocity, self.continuity_row
+            )
         return rough
 
     @ti.func
     def kick(self, eye, i, dt, wall_velocity: ti.template()):
-        """Momentum: the velocity of node i half a step later. Its neighbours do not read it, so it may take its place."""
+        """Momentum: the velocity of node i half a step later. Its neighbours do not read it, so it may take its
+        place."""
         rough = self.dissipation_length[eye] * self.differentiate_pressure(i)
         rho = self.density(eye, i)
         before = self.velocity[i]
         slip = before - self.wall_share(i, wall_velocity)
         gradient = self.velocity_gradient[i]
-        carried = ti.Vector([gradient[0, 0] * slip[0] + gradient[0, 1] * slip[1],
-                             gradient[1, 0] * slip[0] + gradient[1, 1] * slip[1]])
+        carried = ti.Vector(
+            [gradient[0, 0] * slip[0] + gradient[0, 1] * slip[1], gradient[1, 0] * slip[0] + gradient[1, 1] * slip[1]]
+        )
         push = (self.viscosity[eye] * self.laplacian[i] - self.driving_gradient(i)) / rho - carried + rough
         velocity = before + dt * push
         felt = rough
@@ -318,9 +390,11 @@ class Aqueous:
     def pressure_rate(self, eye, i, divergence, rough, wall_velocity: ti.template()):
         """dp/dt [Pa/s] of node i with its velocity's divergence and its P p given."""
         slip = self.velocity[i] - self.wall_share(i, wall_velocity)
-        return (self.dissipation_length[eye] * rough - slip.dot(self.driving_gradient(i))
-                - (self.density0[eye] * self.sound_speed[eye] ** 2 + self.pressure[i])
-                * (divergence + self.outflow[eye]))
+        return (
+            self.dissipation_length[eye] * rough
+            - slip.dot(self.driving_gradient(i))
+            - (self.density0[eye] * self.sound_speed[eye] ** 2 + self.pressure[i]) * (divergence + self.outflow[eye])
+        )
 
     @ti.func
     def compress(self, eye, i, dt, wall_velocity: ti.template()):
@@ -334,24 +408,33 @@ class Aqueous:
         self.pressure[i] += dt * self.pressure_rate(eye, i, divergence, rough, wall_velocity) + self.pressure_shift[eye]
         self.lay_momentum_row(i, self.pressure[i] - self.viscosity[eye] / 3.0 * divergence)
         hoop = divergence - g[0, 0] - g[1, 1]
-        squares = g[0, 0] ** 2 + g[1, 1] ** 2 + hoop ** 2 + 0.5 * (g[0, 1] + g[1, 0]) ** 2 - divergence ** 2 / 3.0
+        squares = g[0, 0] ** 2 + g[1, 1] ** 2 + hoop**2 + 0.5 * (g[0, 1] + g[1, 0]) ** 2 - divergence**2 / 3.0
         self.viscous_loss[i] += dt * self.volume[i] * 2.0 * self.viscosity[eye] * squares
-        self.numerical_loss[i] += self.volume[i] * (self.roughness_work[i] - dt * before * self.dissipation_length[eye] * rough
-                                                   / (self.density0[eye] * self.sound_speed[eye] ** 2))
+        self.numerical_loss[i] += self.volume[i] * (
+            self.roughness_work[i]
+            - dt * before * self.dissipation_length[eye] * rough / (self.density0[eye] * self.sound_speed[eye] ** 2)
+        )
         if self.sealed[eye] == 0:
             rho = self.density(eye, i)
-            self.outflow_loss[i] += dt * self.outflow[eye] * self.volume[i] * (
-                0.5 * rho * self.velocity[i].norm_sqr() + self.pressure[i] + rho * self.stored_at(eye, i))
+            self.outflow_loss[i] += (
+                dt
+                * self.outflow[eye]
+                * self.volume[i]
+                * (0.5 * rho * self.velocity[i].norm_sqr() + self.pressure[i] + rho * self.stored_at(eye, i))
+            )
 
     @ti.func
     def missing_pressure(self, eye, volume, dt):
         """The uniform pressure [Pa] to add in the step of dt [s] that ends with the chamber at its volume [m^3].
 
-        Continuity is going to bring the liquid's own stiffness times the change of volume; what that and the present mean
-        lack of the mean pressure that the volume stands for is added. In an open chamber that mean is zero. Where the rest of
-        the globe yields, by compliance C [m^3/Pa] times the mean pressure, that much aqueous humour has left, from everywhere
-        alike: the eye behind the iris is not resolved. A globe whose wall is viscous follows late, dy/dt = (C p - y) / delay, y
-        the volume it has taken up: exact for a pressure that is that of the step's end throughout.
+        Continuity is going to bring the liquid's own stiffness times the change of volume; what that and the present
+        mean lack of the mean pressure that the volume stands for is added. In an open chamber that mean is zero. Where
+        the
+        rest of the globe yields, by compliance C [m^3/Pa] times the mean pressure, that much aqueous humour has left,
+        from
+        everywhere alike: the eye behind the iris is not resolved. A globe whose wall is viscous follows late, dy/dt =
+        (C p - y) /
+        delay, y the volume it has taken up: exact for a pressure that is that of the step's end throughout.
         """
         first, count = self.first[eye], self.count[eye]
         # four sums side by side: one alone waits for its last addition
@@ -359,7 +442,9 @@ class Aqueous:
         for k in range(count // 4):
             i = first + 4 * k
             shares = ti.Vector([self.volume[i], self.volume[i + 1], self.volume[i + 2], self.volume[i + 3]])
-            totals += shares * ti.Vector([self.pressure[i], self.pressure[i + 1], self.pressure[i + 2], self.pressure[i + 3]])
+            totals += shares * ti.Vector(
+                [self.pressure[i], self.pressure[i + 1], self.pressure[i + 2], self.pressure[i + 3]]
+            )
             weights += shares
         total, weight = totals.sum(), weights.sum()
         for i in range(first + count - count % 4, first + count):
@@ -372,8 +457,11 @@ class Aqueous:
             if self.globe_delay[eye] > 0.0:
                 follows = 1.0 - ti.exp(-dt / self.globe_delay[eye])
             before = self.taken_up[eye]
-            mean = (stiffness * ((self.rest_volume[eye] - (1.0 - follows) * before) / volume - 1.0)
-                    / (1.0 + stiffness * follows * self.compliance[eye] / volume))
+            mean = (
+                stiffness
+                * ((self.rest_volume[eye] - (1.0 - follows) * before) / volume - 1.0)
+                / (1.0 + stiffness * follows * self.compliance[eye] / volume)
+            )
             taken = follows * (self.compliance[eye] * mean - before)
             self.globe_work[eye] += 0.5 * (self.mean_pressure[eye] + mean) * taken
             self.taken_up[eye], self.mean_pressure[eye] = before + taken, mean

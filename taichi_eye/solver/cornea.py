@@ -9,28 +9,31 @@ Green-Lagrange strain from the pressurised state. Here, for an isotropic C and E
 Discretisation. Two-point differences on a uniform grid in the angle: stretch and stress live on the elements between
 nodes, with lam1 = |dx| / |dX| and lam2 = (r_i + r_{i+1}) / (R_i + R_{i+1}). The nodal force is minus the derivative of
 the summed energy h A_e W(E1, E2), so the tangent is symmetric, the elastic energy is a state function, and the axis
-(r = 0, z' = 0) needs no special case. Homogeneous stretch x = lam X gives exact strains. Pressure, puff and inertia of a
-node act on its ring, half an element to either side: the force is p_i dV/dx_i with V = sum pi r_m^2 dz the volume by the
-midpoint rule (r_m between nodes), so a uniform pressure does exactly p dV of work.
+(r = 0, z' = 0) needs no special case. Homogeneous stretch x = lam X gives exact strains. Pressure, puff and inertia of
+a node act on its ring, half an element to either side: the force is p_i dV/dx_i with V = sum pi r_m^2 dz the volume by
+the midpoint rule (r_m between nodes), so a uniform pressure does exactly p dV of work.
 
-Rings, not the hat functions of finite elements: those load the apex with h^2/6 of the radius integral where its ring has
-h^2/8, and that point load makes a logarithmic spike, an apex that converges at order 1.3-1.7 only. With rings, 32 / 64 /
-128 elements put the apex of the default eye 0.22 / 0.056 / 0.014 % deep under the peak load of the puff: order 1.98.
+Rings, not the hat functions of finite elements: those load the apex with h^2/6 of the radius integral where its ring
+has h^2/8, and that point load makes a logarithmic spike, an apex that converges at order 1.3-1.7 only. With rings, 32 /
+64
+/ 128 elements put the apex of the default eye 0.22 / 0.056 / 0.014 % deep under the peak load of the puff: order 1.98.
 
-Bending, where the scene asks for it: a shell instead of a membrane. With phi the inclination of an element, the changes of
-curvature from rest are (phi_k - phi_k-1) / L at the nodes and (sin phi - sin phi0) / R_k on the elements, and
+Bending, where the scene asks for it: a shell instead of a membrane. With phi the inclination of an element, the changes
+of curvature from rest are (phi_k - phi_k-1) / L at the nodes and (sin phi - sin phi0) / R_k on the elements, and
 W_b = D/2 (dk1^2 + dk2^2) per area, D = E h^3 / (12 (1 - nu^2)). Kirchhoff's mixed term, D nu dk1 dk2, is left out: its
 integral depends on the rim alone. The rim is a hinge.
 
-Relaxation, where the scene asks for it: quasi-linear viscoelasticity (Fung), one relaxation time. On the elastic stress S
-comes an overstress q, dq/dt = g dS/dt - q / tau: a sudden stretch meets 1 + g times the slow stiffness, a slow one none
+Relaxation, where the scene asks for it: quasi-linear viscoelasticity (Fung), one relaxation time. On the elastic stress
+S comes an overstress q, dq/dt = g dS/dt - q / tau: a sudden stretch meets 1 + g times the slow stiffness, a slow one
+none
 of it, and in between motion is damped, at most by tan(delta) = (g/2) / sqrt(1 + g) at a period of 2 pi tau sqrt(1 + g).
 Moments of bending carry the same. A step takes the exact answer to a stress that changes evenly over it,
 
     q_n+1 = e^(-dt/tau) q_n + g (1 - e^(-dt/tau)) (tau/dt) (S_n+1 - S_n),
 
-so tau sets no limit to the step; only the waves are faster, by sqrt(1 + g). The work done against the overstress is summed
-by the trapezoidal rule and closes the energy balance; what of it has not yet become heat is not told apart. A dashpot
+so tau sets no limit to the step; only the waves are faster, by sqrt(1 + g). The work done against the overstress is
+summed by the trapezoidal rule and closes the energy balance; what of it has not yet become heat is not told apart. A
+dashpot
 alone (Kelvin-Voigt) would limit the step to L^2 rho / (2 eta), a fiftieth of the acoustic one for the damping wanted.
 
 Rest. The discrete sphere is in equilibrium with the IOP up to O(h^2); that remainder is computed once at the reference
@@ -38,11 +41,12 @@ and subtracted as a dead load, so that a scene without a puff stays at rest to r
 
 Units are SI: m, s, Pa, N, J. Forces and masses are those of full rings (2 pi r).
 """
+
 import numpy as np
-import taichi as ti
 
 from taichi_eye.backend import real
 from taichi_eye.eye.tissue import flexural_rigidity
+from taichi_eye.lang import ONE_TASK, ti
 
 
 @ti.data_oriented
@@ -51,16 +55,18 @@ class Cornea:
 
     Eye e owns the nodes first[e] to last[e]; element k joins nodes k and k + 1.
 
-    place, velocity, acceleration: [m], [m/s], [m/s^2]; rest: reference places; force_air, force_solid: forces [N] of the
-    air and of everything else but the fluid's excess pressure; stress: S1, S2 of each element [Pa].
+    place, velocity, acceleration: [m], [m/s], [m/s^2]; rest: reference places; force_air, force_solid: forces [N] of
+    the air and of everything else but the fluid's excess pressure; stress: S1, S2 of each element [Pa].
 
     Verification problems change three things. law: "exponential" (the tissue) or "tension" (a film of constant Cauchy
     stress `material[0]` in Pa, like a soap film). rim: "clamped" (the limbus), "sliding_r" or "sliding_z" (a symmetry
-    plane in which the last node moves along r or along z). planar: a strip of unit depth in (x, z), without hoop strain.
+    plane in which the last node moves along r or along z). planar: a strip of unit depth in (x, z), without hoop
+    strain.
     """
 
-    def __init__(self, capacity: int, law: str = "exponential", rim: str = "clamped", planar: bool = False,
-                 eyes: int = 1):
+    def __init__(
+        self, capacity: int, law: str = "exponential", rim: str = "clamped", planar: bool = False, eyes: int = 1
+    ):
         fp = real()
         self.capacity, self.law, self.rim, self.planar = capacity, law, rim, planar
         self.first, self.last = ti.field(ti.i32, eyes), ti.field(ti.i32, eyes)
@@ -82,14 +88,25 @@ class Cornea:
         self.material = ti.field(fp, (eyes, 3))  # A [Pa], s, nu
         self.iop, self.puff_work = ti.field(fp, eyes), ti.field(fp, eyes)
 
-    def setup(self, nodes, thickness, density: float, material, iop: float, load_shape,
-              flexural_modulus: float = 0.0, relaxation=(0.0, 1.0), eye: int = 0, first: int = 0) -> None:
+    def setup(
+        self,
+        nodes,
+        thickness,
+        density: float,
+        material,
+        iop: float,
+        load_shape,
+        flexural_modulus: float = 0.0,
+        relaxation=(0.0, 1.0),
+        eye: int = 0,
+        first: int = 0,
+    ) -> None:
         """Place the membrane of one eye at rest, its nodes from `first` on.
 
         nodes [n, 2] (m), apex first; thickness (m); density (kg/m^3); material (A in Pa, s, nu, eps0); iop (Pa);
         load_shape [n]: the puff's pressure at each node relative to its pressure on the axis; flexural_modulus (Pa):
-        Young's modulus of bending, 0 for a membrane; relaxation (g, tau in s). Thickness and eps0 may be one number or one per
-        element, [n - 1].
+        Young's modulus of bending, 0 for a membrane; relaxation (g, tau in s). Thickness and eps0 may be one number or
+        one per element, [n - 1].
         """
         count = len(nodes)
         thickness = np.broadcast_to(np.asarray(thickness, dtype=float), count - 1)
@@ -114,18 +131,48 @@ class Cornea:
             flexure[0, 0] = rigidity[0] * np.pi
             flexure[:, 1] = rigidity * 2.0 * np.pi * length / radius
         angle = np.arctan2(-np.diff(nodes[:, 1]), np.diff(nodes[:, 0]))
-        self._load(np.ascontiguousarray(nodes), density * ring, length, radius, volume, np.ascontiguousarray(eps0),
-                   flexure, angle, shape, *constants, iop, *relaxation, eye, first)
+        self._load(
+            np.ascontiguousarray(nodes),
+            density * ring,
+            length,
+            radius,
+            volume,
+            np.ascontiguousarray(eps0),
+            flexure,
+            angle,
+            shape,
+            *constants,
+            iop,
+            *relaxation,
+            eye,
+            first,
+        )
         self._store_rest_residual(eye)
 
     @ti.kernel
-    def _load(self, nodes: ti.types.ndarray(), mass: ti.types.ndarray(), length: ti.types.ndarray(),
-              radius: ti.types.ndarray(), volume: ti.types.ndarray(), prestrain: ti.types.ndarray(),
-              flexure: ti.types.ndarray(), angle: ti.types.ndarray(), load_shape: ti.types.ndarray(),
-              stiffness: float, s: float, nu: float, iop: float, share: float, time: float, eye: int, first: int):
+    def _load(
+        self,
+        nodes: ti.types.ndarray(),
+        mass: ti.types.ndarray(),
+        length: ti.types.ndarray(),
+        radius: ti.types.ndarray(),
+        volume: ti.types.ndarray(),
+        prestrain: ti.types.ndarray(),
+        flexure: ti.types.ndarray(),
+        angle: ti.types.ndarray(),
+        load_shape: ti.types.ndarray(),
+        stiffness: float,
+        s: float,
+        nu: float,
+        iop: float,
+        share: float,
+        time: float,
+        eye: int,
+        first: int,
+    ):
         # one task, since each costs compile time
         ti.loop_config(serialize=True)
-        for once in range(1):
+        for _ in range(ONE_TASK):
             self.first[eye], self.last[eye] = first, first + nodes.shape[0] - 1
             self.material[eye, 0], self.material[eye, 1], self.material[eye, 2] = stiffness, s, nu
             self.iop[eye], self.puff_work[eye] = iop, 0.0
@@ -143,7 +190,10 @@ class Cornea:
                 self.element_length[k], self.element_radius[k] = length[n], radius[n]
                 self.element_volume[k], self.prestrain[k] = volume[n], prestrain[n]
                 self.flexure[k], self.rest_angle[k] = ti.Vector([flexure[n, 0], flexure[n, 1]]), angle[n]
-                self.inclination[k], self.strain[k] = ti.Vector([angle[n], 0.0]), ti.Vector([prestrain[n], prestrain[n]])
+                self.inclination[k], self.strain[k] = (
+                    ti.Vector([angle[n], 0.0]),
+                    ti.Vector([prestrain[n], prestrain[n]]),
+                )
                 zero = ti.Vector([0.0, 0.0])
                 self.moment[k], self.overstress[k], self.overmoment[k] = zero, zero, zero
             self.flexible[eye] = ti.select(flexure[0, 1] > 0.0, 1, 0)
@@ -161,8 +211,9 @@ class Cornea:
             total = e[0] + e[1]
             grown = ti.exp(s * ((1.0 - nu) * (e[0] * e[0] + e[1] * e[1]) + nu * total * total))
             factor = 2.0 * stiffness * s * grown
-            return ti.Vector([factor * ((1.0 - nu) * e[0] + nu * total), factor * ((1.0 - nu) * e[1] + nu * total)]), \
-                stiffness * (grown - 1.0)
+            return ti.Vector(
+                [factor * ((1.0 - nu) * e[0] + nu * total), factor * ((1.0 - nu) * e[1] + nu * total)]
+            ), stiffness * (grown - 1.0)
 
     @ti.func
     def hoop_stretch(self, k):
@@ -183,7 +234,8 @@ class Cornea:
 
     @ti.func
     def deform(self, eye, dt):
-        """Tensions of all elements of an eye at its present places, dt [s] after the last ones; serial over the wall."""
+        """Tensions of all elements of an eye at its present places, dt [s] after the last ones; serial over the
+        wall."""
         first, last = self.first[eye], self.last[eye]
         share, time = self.relaxation[eye][0], self.relaxation[eye][1]
         # what is left of an overstress, and what of a change of stress is added
@@ -216,7 +268,9 @@ class Cornea:
         if gain > 0.0:
             change = stress - (self.stress[k] - self.overstress[k])
             over = kept * self.overstress[k] + gain * change
-            self.relaxed_work[eye] += 0.5 * self.element_volume[k] * (over + self.overstress[k]).dot(strain - self.strain[k])
+            self.relaxed_work[eye] += (
+                0.5 * self.element_volume[k] * (over + self.overstress[k]).dot(strain - self.strain[k])
+            )
             self.overstress[k] = over
             stress += over
         self.stress[k], self.strain[k] = stress, strain
@@ -243,7 +297,7 @@ class Cornea:
                 edge = self.place[k + 1] - self.place[k]
                 turned = ti.atan2(-edge[1], edge[0]) - self.rest_angle[k]
                 leant = -edge[1] / edge.norm() - ti.sin(self.rest_angle[k])
-                energy += 0.5 * (self.flexure[k][0] * (turned - before) ** 2 + self.flexure[k][1] * leant ** 2)
+                energy += 0.5 * (self.flexure[k][0] * (turned - before) ** 2 + self.flexure[k][1] * leant**2)
                 before = turned
         return energy
 
@@ -327,7 +381,7 @@ class Cornea:
     @ti.kernel
     def _store_rest_residual(self, eye: int):
         ti.loop_config(serialize=True)
-        for once in range(1):
+        for _ in range(ONE_TASK):
             self.deform(eye, 0.0)
         ti.loop_config(serialize=True)
         for i in range(self.first[eye], self.last[eye] + 1):
@@ -346,7 +400,8 @@ class Cornea:
 
     @ti.func
     def wave_speeds(self, eye, k):
-        """Borne stress [Pa] of element k and the speeds [m/s] of in-plane waves (by the meridian's tangent) and transverse ones."""
+        """Borne stress [Pa] of element k and the speeds [m/s] of in-plane waves (by the meridian's tangent) and
+        transverse ones."""
         first = self.first[eye]
         strain = self.strain_of(k)
         stress, energy = self.stress_of(eye, strain, self.prestrain[k])
@@ -358,11 +413,16 @@ class Cornea:
         slope = (1.0 - nu) * strain[0] + nu * (strain[0] + strain[1])
         stretch_squared = 2.0 * (strain[0] - self.prestrain[k]) + 1.0
         stiffness = sudden * grown * (1.0 + 2.0 * s * slope * slope) * stretch_squared + stress[0]
-        return self.borne_stress(eye, k), ti.sqrt(ti.max(stiffness, 0.0) / density), ti.sqrt(ti.max(stress[0], 0.0) / density)
+        return (
+            self.borne_stress(eye, k),
+            ti.sqrt(ti.max(stiffness, 0.0) / density),
+            ti.sqrt(ti.max(stress[0], 0.0) / density),
+        )
 
     @ti.func
     def borne_stress(self, eye, k):
-        """S1, S2 [Pa] of element k that a guard judges; of a shell without the overstress, as is the stress that buckles it."""
+        """S1, S2 [Pa] of element k that a guard judges; of a shell without the overstress, as is the stress that
+        buckles it."""
         stress = self.stress[k]
         if self.flexible[eye] != 0:
             stress -= self.overstress[k]

@@ -26,15 +26,18 @@ velocity's dissipation, which has its gradients from the step before, the veloci
 Nothing in step 2 needs step 1, so the code takes step 2 first: a step in parallel is three loops, one over the eyes
 between two over the nodes. P p is summed once for all sweeps; a sweep sums the divergence alone, over gradient weights.
 
-Tried on two cores and left out: all threads in one launch per sample, meeting at barriers in memory. 4089 nodes went from
-0.37 to 0.53 of the bare gather's rate, 16 k from 0.33 to 0.35; but a thread that waits spins, and one other busy process on
-the machine made it 4 to 6 times slower. Tasks taken one by one as they become ready (0.48) bear that better and gain little.
+Tried on two cores and left out: all threads in one launch per sample, meeting at barriers in memory. 4089 nodes went
+from 0.37 to 0.53 of the bare gather's rate, 16 k from 0.33 to 0.35; but a thread that waits spins, and one other busy
+process on the machine made it 4 to 6 times slower. Tasks taken one by one as they become ready (0.48) bear that better
+and gain
+little.
 """
+
 import numpy as np
-import taichi as ti
 
 from taichi_eye import backend
 from taichi_eye.backend import real
+from taichi_eye.lang import ti
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.cornea import Cornea
 
@@ -47,7 +50,8 @@ RUNNING, NOT_CONVERGED = 0, 1
 
 
 def plan_of(eyes, steps, dt, kick_dt, puff_apex) -> np.ndarray:
-    """What eyes are to do up to their next sample, a row to an eye: eye, steps, step and first kick's step [s], and puff.
+    """What eyes are to do up to their next sample, a row to an eye: eye, steps, step and first kick's step [s], and
+    puff.
 
     One array, since each that a kernel takes costs some 10 us a call. puff_apex [k, step] [Pa].
     """
@@ -80,19 +84,22 @@ class Coupling:
         self.worst_residual, self.rest_enclosed = ti.field(fp, eyes), ti.field(fp, eyes)
         self.march_all, self._step_all = _launches(self)
 
-    def setup(self, iterated: bool, aitken: bool, factor: float, tolerance: float, sweeps_max: int,
-              eye: int = 0) -> None:
+    def setup(
+        self, iterated: bool, aitken: bool, factor: float, tolerance: float, sweeps_max: int, eye: int = 0
+    ) -> None:
         """How step 3 runs in an eye, and a fresh start.
 
         factor: (first) relaxation factor; tolerance: largest change of the membrane's velocity in a sweep over its
         largest velocity; sweeps_max: at which the run counts as not converged.
         """
-        self._load(iterated, aitken, factor, max(tolerance, FINEST_TOLERANCE[real()]), VELOCITY_FLOOR[real()],
-                   sweeps_max, eye)
+        self._load(
+            iterated, aitken, factor, max(tolerance, FINEST_TOLERANCE[real()]), VELOCITY_FLOOR[real()], sweeps_max, eye
+        )
 
     @ti.kernel
-    def _load(self, iterated: int, aitken: int, factor: float, tolerance: float, floor: float, sweeps_max: int,
-              eye: int):
+    def _load(
+        self, iterated: int, aitken: int, factor: float, tolerance: float, floor: float, sweeps_max: int, eye: int
+    ):
         self.iterated[eye], self.aitken[eye], self.sweeps_max[eye] = iterated, aitken, sweeps_max
         self.factor[eye], self.tolerance[eye], self.velocity_floor[eye] = factor, tolerance, floor
         self.status[eye] = RUNNING
@@ -176,9 +183,11 @@ class Coupling:
                 self.aqueous.velocity[i] = self.aqueous.meet_wall(eye, i, self.cornea.place, self.wall_velocity[i])
             for i in range(first, end):
                 divergence = self.aqueous.operators.divergence_at(i, self.aqueous.place, self.aqueous.velocity)
-                self.wall_pressure[i] = (self.aqueous.pressure[i] + self.aqueous.pressure_shift[eye]
-                                         + dt * self.aqueous.pressure_rate(eye, i, divergence, self.wall_rough[i],
-                                                                           self.wall_velocity))
+                self.wall_pressure[i] = (
+                    self.aqueous.pressure[i]
+                    + self.aqueous.pressure_shift[eye]
+                    + dt * self.aqueous.pressure_rate(eye, i, divergence, self.wall_rough[i], self.wall_velocity)
+                )
             residual = 0.0
             square, product = 0.0, 0.0
             for i in range(first, end):

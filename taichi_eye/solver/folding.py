@@ -7,21 +7,26 @@ with S' = d/dS along the meridian at rest, R0 the radius at rest and all cos^2, 
     sum h 2 R0 L / 2 [ C_ij dE_i dE_j + C66 gamma^2 + S1 (rho'^2 + tau'^2 + zeta'^2)
                        + S2 ((m rho + tau)^2 + (rho + m tau)^2 + m^2 zeta^2) / R0^2 ]                         membrane
   + D/2 [ k_s^2 + k_phi^2 + 2 nu k_s k_phi + 2 (1 - nu) k_sphi^2 ]  of w, the part along the normal            bending
-  - p/2 (dx . dN)                                                                                        follower pressure
+  - p/2 (dx . dN)                                                                                        follower
+                                                                                                         pressure
 
     dE_1 = r' rho' + z' zeta',  dE_2 = r (rho + m tau) / R0^2,  gamma = (r tau' - r' (m rho + tau) - m z' zeta) / R0,
     C_ij = dS_i/dE_j,  C66 = A s (1 - nu) e^Q  (the law of `taichi_eye.eye.tissue` with its shear),
     k_s = -w'',  k_phi = m^2 w / r^2 - r' w' / r,  k_sphi = m (w' / r - r' w / r^2).
 
-The state is stable where this form is positive definite for every m from 2 on. The chamber's volume does not change to first
-order in the amplitude, so its stiffness does not help, and the liquid's inertia only slows what grows. Overstress of a relaxing
-tissue is left out: it fades. Rim and apex are held.
+The state is stable where this form is positive definite for every m from 2 on. The chamber's volume does not change to
+first order in the amplitude, so its stiffness does not help, and the liquid's inertia only slows what grows. Overstress
+of a
+relaxing tissue is left out: it fades. Rim and apex are held.
 
 A complete sphere under outer pressure folds at 2 E (h/R)^2 / sqrt(3 (1 - nu^2)), the classical value: found to 2.5 %
-(tests/solver/test_folding.py). A dent is another matter: compression is confined to the ring around it, with tension on both sides
-and the liquid's pressure behind it, and bears 2 to 2.2 times the classical stress 2 sqrt(D E h) / (R h) before it folds into 5 to 7
-lobes (shells as thin in bending as `configs/corvis_healthy.toml`'s). So the classical stress is where looking begins.
+(tests/solver/test_folding.py). A dent is another matter: compression is confined to the ring around it, with tension on
+both sides and the liquid's pressure behind it, and bears 2 to 2.2 times the classical stress 2 sqrt(D E h) / (R h)
+before it folds
+into 5 to 7 lobes (shells as thin in bending as `configs/corvis_healthy.toml`'s). So the classical stress is where
+looking begins.
 """
+
 import numpy as np
 
 from taichi_eye.eye.thickness import prestrain, thickness
@@ -31,26 +36,34 @@ LOBES = tuple(range(2, 17))
 
 
 def tangent(e1, e2, a, s, nu):
-    """Stresses S1, S2 and tangents C11, C12, C22, C66 [Pa] at the strains e_i = E_i + eps0; see `taichi_eye.eye.tissue`."""
+    """Stresses S1, S2 and tangents C11, C12, C22, C66 [Pa] at the strains e_i = E_i + eps0; see
+    `taichi_eye.eye.tissue`."""
     total = e1 + e2
     b1, b2 = (1.0 - nu) * e1 + nu * total, (1.0 - nu) * e2 + nu * total
     f = 2.0 * a * s * np.exp(s * ((1.0 - nu) * (e1 * e1 + e2 * e2) + nu * total * total))
-    return (f * b1, f * b2, f * (1.0 + 2.0 * s * b1 * b1), f * (nu + 2.0 * s * b1 * b2), f * (1.0 + 2.0 * s * b2 * b2),
-            0.5 * f * (1.0 - nu))
+    return (
+        f * b1,
+        f * b2,
+        f * (1.0 + 2.0 * s * b1 * b1),
+        f * (nu + 2.0 * s * b1 * b2),
+        f * (1.0 + 2.0 * s * b2 * b2),
+        0.5 * f * (1.0 - nu),
+    )
 
 
 class Folding:
     """The stability of one cornea's states.
 
-    rest [n + 1, 2] (m): nodes, apex first; thickness (m), prestrain, rigidity D (N m): numbers or per element [n]; tissue: A (Pa), s
-    and nu.
+    rest [n + 1, 2] (m): nodes, apex first; thickness (m), prestrain, rigidity D (N m): numbers or per element [n];
+    tissue: A (Pa), s and nu.
     """
 
     def __init__(self, rest, thickness, tissue, prestrain, rigidity):
         self.rest, (self.a, self.s, self.nu) = np.asarray(rest), tissue
         n = len(self.rest) - 1
-        self.thickness, self.prestrain, self.rigidity = (np.broadcast_to(np.asarray(v, dtype=float), n)
-                                                         for v in (thickness, prestrain, rigidity))
+        self.thickness, self.prestrain, self.rigidity = (
+            np.broadcast_to(np.asarray(v, dtype=float), n) for v in (thickness, prestrain, rigidity)
+        )
         self.length = np.linalg.norm(np.diff(self.rest, axis=0), axis=1)
         self.radius = 0.5 * (self.rest[1:, 0] + self.rest[:-1, 0])
         # an element's mean of rho, tau, zeta and their derivatives, from its six nodal values
@@ -66,11 +79,17 @@ class Folding:
         """That of a resolved scene's cornea with the nodes `rest` [n + 1, 2] (m)."""
         cornea, middle = scene.cornea, 0.5 * (rest[1:, 0] + rest[:-1, 0])
         nu, thick = cornea.poisson_ratio, thickness(scene, middle)
-        return cls(rest, thick, (cornea.stiffness_a_pa, cornea.exponent_k / (1.0 + nu), nu), prestrain(scene, middle),
-                   flexural_rigidity(cornea.flexural_modulus_mpa * 1e6, thick, nu))
+        return cls(
+            rest,
+            thick,
+            (cornea.stiffness_a_pa, cornea.exponent_k / (1.0 + nu), nu),
+            prestrain(scene, middle),
+            flexural_rigidity(cornea.flexural_modulus_mpa * 1e6, thick, nu),
+        )
 
     def lobes(self, place, pressure, lobes=LOBES) -> int | None:
-        """The number of lobes into which the state folds, None where it is stable; a state that is not finite is not judged.
+        """The number of lobes into which the state folds, None where it is stable; a state that is not finite is not
+        judged.
 
         place [n + 1, 2] (m); pressure [n + 1] (Pa): net, outwards, on each node's ring.
         """
@@ -103,7 +122,12 @@ class Folding:
 
     def _terms(self, place, m):
         shift = np.diff(place, axis=0) / self.length[:, None]
-        return shift[:, 0, None], shift[:, 1, None], 0.5 * (place[1:, 0] + place[:-1, 0])[:, None], self.mean.swapaxes(0, 1)
+        return (
+            shift[:, 0, None],
+            shift[:, 1, None],
+            0.5 * (place[1:, 0] + place[:-1, 0])[:, None],
+            self.mean.swapaxes(0, 1),
+        )
 
     def _membrane(self, place, m):
         rp, zp, r, (rho, tau, zeta) = self._terms(place, m)

@@ -5,9 +5,10 @@ tension the membrane has no transverse waves and any mesh-size ripple grows. Onl
 compressed than it was stretched at rest, or whose energy grew without work in the same sample, was torn by an
 instability: slackness grows from zero and the energy is balanced then.
 
-A shell (cornea.flexural_modulus_mpa) carries compression until it folds. From the classical stress on at which a complete sphere
-does, 2 sqrt(D E h) / (R h), with D its bending stiffness and E Young's modulus in its plane at rest, every film frame's state is
-put to the question whether it is stable against lobes around the axis (`taichi_eye.solver.folding`).
+A shell (cornea.flexural_modulus_mpa) carries compression until it folds. From the classical stress on at which a
+complete sphere does, 2 sqrt(D E h) / (R h), with D its bending stiffness and E Young's modulus in its plane at rest,
+every film frame's
+state is put to the question whether it is stable against lobes around the axis (`taichi_eye.solver.folding`).
 
 Energy. What is stored must not exceed the work of the puff, and not by much together with what the dissipation took: an
 unstable flow that the dissipation holds at a bounded level stores little and would pass on its stored energy alone (no
@@ -15,6 +16,7 @@ slip on coarse nodes does that). Violent but sound ringing reaches 0.1 there. Th
 viscous stress on the cornea is not handed over, so under slip walls what the strain rates lose is never taken from the
 motion, and a liquid so viscous that it matters is outside the model.
 """
+
 import math
 
 import numpy as np
@@ -35,7 +37,8 @@ LIGHT = 0.3  # mass of the cornea over that of a layer of nodes below which the 
 
 
 def least_stress(scene) -> float:
-    """The principal stress [Pa] in the cornea's plane below which it is judged: 0, where a membrane is slack, less for a shell."""
+    """The principal stress [Pa] in the cornea's plane below which it is judged: 0, where a membrane is slack, less for
+    a shell."""
     cornea = scene.cornea
     if not is_shell(scene):
         return 0.0
@@ -45,8 +48,17 @@ def least_stress(scene) -> float:
     return -2.0 * math.sqrt(rigidity * young / thickness) / (cornea.radius_mm * MM)
 
 
-def check(figures: dict[str, float], energy_gain: float, largest_work: float, scene, radius_mm,
-          time_ms: float, viscous_loss: float = 0.0, numerical_loss: float = 0.0, lobes: int | None = None) -> None:
+def check(
+    figures: dict[str, float],
+    energy_gain: float,
+    largest_work: float,
+    scene,
+    radius_mm,
+    time_ms: float,
+    viscous_loss: float = 0.0,
+    numerical_loss: float = 0.0,
+    lobes: int | None = None,
+) -> None:
     """Raise RunStopped where the figures of a survey show a run that is no longer valid.
 
     energy_gain [J]: stored - work of the puff; largest_work [J]: the largest |work| so far; radius_mm(node): reference
@@ -69,14 +81,24 @@ def check(figures: dict[str, float], energy_gain: float, largest_work: float, sc
     if failed and not (grew or torn):
         stop(*failing(found, lobes), figures["slackest_element"])
     if figures["chamber_gap"] < CLOSED:
-        stop("the cornea reached the back of the chamber", "Lower puff.peak_kpa, raise eye.iop_mmhg or chamber.depth_mm"
-             + ("." if scene.chamber.sealed else ", or keep the fluid in: chamber.sealed = true."), figures["gap_node"])
+        stop(
+            "the cornea reached the back of the chamber",
+            "Lower puff.peak_kpa, raise eye.iop_mmhg or chamber.depth_mm"
+            + ("." if scene.chamber.sealed else ", or keep the fluid in: chamber.sealed = true."),
+            figures["gap_node"],
+        )
     if figures["flattest_triangle"] < FLAT:
-        stop("nodes are about to cross (the cloud is folded)", "Lower puff.peak_kpa or numerics.spacing_mm; raise "
-             "numerics.dissipation if the wall shows ripples.", figures["flat_node"])
+        stop(
+            "nodes are about to cross (the cloud is folded)",
+            "Lower puff.peak_kpa or numerics.spacing_mm; raise numerics.dissipation if the wall shows ripples.",
+            figures["flat_node"],
+        )
     if not figures["worst_condition"] < CONDITION_GROWTH * CONDITION_LIMIT[numerics.basis]:
-        stop(f"a stencil went singular (condition number {figures['worst_condition']:.1e})",
-             "Change numerics.spacing_mm, or use numerics.basis = \"quadratic\".", figures["ill_node"])
+        stop(
+            f"a stencil went singular (condition number {figures['worst_condition']:.1e})",
+            'Change numerics.spacing_mm, or use numerics.basis = "quadratic".',
+            figures["ill_node"],
+        )
     unstable = _advice_unstable(scene)
     if figures["not_finite"] or energy_gain != energy_gain:
         stop("a value is not finite any more", unstable, max(figures["bad_node"], 0))
@@ -85,18 +107,29 @@ def check(figures: dict[str, float], energy_gain: float, largest_work: float, sc
     smooth = viscous_loss > max(energy_gain, numerical_loss)
     if grew or failed or unbalanced and not smooth:
         gained = energy_gain + max(numerical_loss, 0.0)
-        raise RunStopped("energy grew without work", f"{gained * 1e6:.3g} uJ more than the puff put in, whose largest "
-                         f"work so far is {largest_work * 1e6:.3g} uJ", time_ms, unstable)
+        raise RunStopped(
+            "energy grew without work",
+            f"{gained * 1e6:.3g} uJ more than the puff put in, whose largest "
+            f"work so far is {largest_work * 1e6:.3g} uJ",
+            time_ms,
+            unstable,
+        )
     if unbalanced:
-        raise RunStopped("the energy that viscosity takes is not balanced",
-                         f"{viscous_loss * 1e6:.3g} uJ, largest work so far {largest_work * 1e6:.3g} uJ", time_ms,
-                         f"Lower aqueous.viscosity_mpa_s (now {scene.aqueous.viscosity_mpa_s:g}): the viscous stress on the "
-                         "cornea is left out of the model and matters here.")
+        raise RunStopped(
+            "the energy that viscosity takes is not balanced",
+            f"{viscous_loss * 1e6:.3g} uJ, largest work so far {largest_work * 1e6:.3g} uJ",
+            time_ms,
+            f"Lower aqueous.viscosity_mpa_s (now {scene.aqueous.viscosity_mpa_s:g}): the viscous stress on the "
+            "cornea is left out of the model and matters here.",
+        )
     if figures["coupling_status"] == NOT_CONVERGED:
-        raise RunStopped("the coupling iteration did not converge",
-                         f"in {numerics.coupling_iterations_max} sweeps", time_ms,
-                         "Lower numerics.cfl, raise numerics.coupling_iterations_max or numerics.coupling_tolerance, "
-                         "or use numerics.relaxation = \"aitken\".")
+        raise RunStopped(
+            "the coupling iteration did not converge",
+            f"in {numerics.coupling_iterations_max} sweeps",
+            time_ms,
+            "Lower numerics.cfl, raise numerics.coupling_iterations_max or numerics.coupling_tolerance, "
+            'or use numerics.relaxation = "aitken".',
+        )
 
 
 def is_shell(scene) -> bool:
@@ -107,10 +140,14 @@ def is_shell(scene) -> bool:
 def failing(stress: float, lobes: int | None) -> tuple[str, str]:
     """What a cornea under this principal stress [Pa], or a shell that folds, does, and what to change."""
     if lobes is None:
-        return (f"the cornea went slack (smallest principal stress {stress / 1e3:.3g} kPa)",
-                "A membrane carries no compression: lower puff.peak_kpa, raise eye.iop_mmhg or cornea.prestrain.")
-    return (f"the cornea folded into {lobes} lobes (smallest principal stress {stress / 1e3:.3g} kPa)",
-            "Lower puff.peak_kpa, raise eye.iop_mmhg, cornea.prestrain or cornea.flexural_modulus_mpa.")
+        return (
+            f"the cornea went slack (smallest principal stress {stress / 1e3:.3g} kPa)",
+            "A membrane carries no compression: lower puff.peak_kpa, raise eye.iop_mmhg or cornea.prestrain.",
+        )
+    return (
+        f"the cornea folded into {lobes} lobes (smallest principal stress {stress / 1e3:.3g} kPa)",
+        "Lower puff.peak_kpa, raise eye.iop_mmhg, cornea.prestrain or cornea.flexural_modulus_mpa.",
+    )
 
 
 class Calm:
@@ -122,10 +159,14 @@ class Calm:
     def __init__(self, names, condition_limit: float, least: np.ndarray):
         self._low, self._high = np.full((2, len(least), len(names)), [[[-np.inf]], [[np.inf]]])
         self._viscous, self._numerical = names.index("viscous_loss"), names.index("numerical_loss")
-        for bounds, name, value in ((self._low, "least_stress", np.nextafter(least, np.inf)), (self._low, "chamber_gap", CLOSED),
-                                    (self._low, "flattest_triangle", FLAT), (self._high, "not_finite", 0.0),
-                                    (self._high, "worst_condition", np.nextafter(CONDITION_GROWTH * condition_limit, 0.0)),
-                                    (self._high, "coupling_status", RUNNING)):
+        for bounds, name, value in (
+            (self._low, "least_stress", np.nextafter(least, np.inf)),
+            (self._low, "chamber_gap", CLOSED),
+            (self._low, "flattest_triangle", FLAT),
+            (self._high, "not_finite", 0.0),
+            (self._high, "worst_condition", np.nextafter(CONDITION_GROWTH * condition_limit, 0.0)),
+            (self._high, "coupling_status", RUNNING),
+        ):
             bounds[:, names.index(name)] = value
 
     def where(self, rows, energy_gain, largest_work) -> np.ndarray:
@@ -141,14 +182,19 @@ class Calm:
 
 def _advice_unstable(scene) -> str:
     numerics, cornea = scene.numerics, scene.cornea
-    advice = (f"Lower numerics.cfl (now {numerics.cfl:g}) or raise numerics.dissipation (now "
-              f"{numerics.dissipation:g}; below 0.3 the scheme is unstable).")
-    mass_ratio = (cornea.density_kg_m3 * cornea.thickness_mm
-                  / (scene.aqueous.density_kg_m3 * numerics.spacing_mm))
+    advice = (
+        f"Lower numerics.cfl (now {numerics.cfl:g}) or raise numerics.dissipation (now "
+        f"{numerics.dissipation:g}; below 0.3 the scheme is unstable)."
+    )
+    mass_ratio = cornea.density_kg_m3 * cornea.thickness_mm / (scene.aqueous.density_kg_m3 * numerics.spacing_mm)
     if mass_ratio < LIGHT:
-        advice += (f" The cornea is light against a layer of nodes (mass ratio {mass_ratio:.2g}): halve numerics.cfl or "
-                   "numerics.spacing_mm.")
+        advice += (
+            f" The cornea is light against a layer of nodes (mass ratio {mass_ratio:.2g}): halve numerics.cfl or "
+            "numerics.spacing_mm."
+        )
     if numerics.wall_condition == "no_slip":
-        advice += (' numerics.wall_condition = "no_slip" feeds energy where the nodes are coarser than the Stokes layer: use '
-                   '"slip", or lower numerics.spacing_mm.')
+        advice += (
+            ' numerics.wall_condition = "no_slip" feeds energy where the nodes are coarser than the Stokes layer: use '
+            '"slip", or lower numerics.spacing_mm.'
+        )
     return advice

@@ -1,6 +1,6 @@
 """Carries the fluid nodes along with the cornea (see `taichi_eye.solver.aqueous`, node motion)."""
-import taichi as ti
 
+from taichi_eye.lang import ti
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.cornea import Cornea
 

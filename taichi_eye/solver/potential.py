@@ -1,31 +1,38 @@
 """Potential flow in the chamber: what the wall feels of an incompressible liquid, without acoustics.
 
-The velocity is the gradient of phi with lap phi = q in the chamber, q uniform (0 where the chamber is sealed, the sink of
-an open one), d phi/dn = wall velocity on the cornea and 0 on the rigid back, mirrored at the axis. Collocated on the MFPM
-cloud: the Laplacian row on interior nodes, on boundary ones the Laplacian of a fit that has the normal derivative built in,
-the mean of phi set to zero, q the multiplier that this and the wall's fluxes ask for.
+The velocity is the gradient of phi with lap phi = q in the chamber, q uniform (0 where the chamber is sealed, the sink
+of an open one), d phi/dn = wall velocity on the cornea and 0 on the rigid back, mirrored at the axis. Collocated on the
+MFPM cloud: the Laplacian row on interior nodes, on boundary ones the Laplacian of a fit that has the normal derivative
+built
+in, the mean of phi set to zero, q the multiplier that this and the wall's fluxes ask for.
 
 Boundary rows. With n and s across and along the wall and g = d phi/dn given, the quadratic fit is
-phi_j - phi_i - g n_j = s_j D_s + n_j^2/2 D_nn + n_j s_j D_ns + s_j^2/2 D_ss (Wendland weights as in `taichi_eye.mfpm`), and its
-Laplacian is set to q: both the equation and the condition hold there. Collocating the one-sided normal derivative alone
-makes the wall 4-8 times heavier than it should be: the first three modes of the cylinder of `taichi-eye verify` at 0.3 mm are
--1.1/-2.8/-4.5 % off, with the cubic basis -0.5/-1.2/-2.5 %, with the fit +0.4/-0.2/-0.8 %.
+phi_j - phi_i - g n_j = s_j D_s + n_j^2/2 D_nn + n_j s_j D_ns + s_j^2/2 D_ss (Wendland weights as in `taichi_eye.mfpm`),
+and its Laplacian is set to q: both the equation and the condition hold there. Collocating the one-sided normal
+derivative alone
+makes the wall 4-8 times heavier than it should be: the first three modes of the cylinder of `taichi-eye verify` at 0.3
+mm are -1.1/-2.8/-4.5 % off, with the cubic basis -0.5/-1.2/-2.5 %, with the fit +0.4/-0.2/-0.8 %.
 
-One sparse LU, solved for a unit flux through each wall node's ring, gives the flow map F [nodes, walls] (potential of every
-node per ring flux, 1/m) and its wall rows, the Neumann-to-Dirichlet matrix N. With Q_i = G_i . v_i the flux of ring i (G its
-area vector) the liquid's kinetic energy is rho/2 Q^T N Q, so N would be symmetric in exact arithmetic of a Galerkin method.
-Collocation leaves it unsymmetric by some percent, most in the column of the apex, whose ring is tiny: what a flux through that
-ring alone does far away is resolved badly and hardly matters, while the row is accurate. Taking the symmetric part instead
-mixes the two: 30 % wrong at the apex.
+One sparse LU, solved for a unit flux through each wall node's ring, gives the flow map F [nodes, walls] (potential of
+every node per ring flux, 1/m) and its wall rows, the Neumann-to-Dirichlet matrix N. With Q_i = G_i . v_i the flux of
+ring i
+(G its area vector) the liquid's kinetic energy is rho/2 Q^T N Q, so N would be symmetric in exact arithmetic of a
+Galerkin
+method. Collocation leaves it unsymmetric by some percent, most in the column of the apex, whose ring is tiny: what a
+flux
+through that ring alone does far away is resolved badly and hardly matters, while the row is accurate. Taking the
+symmetric part
+instead mixes the two: 30 % wrong at the apex.
 
 The wall pressure follows from Bernoulli's equation on the moving nodes (`taichi_eye.solver.reduced`).
 """
+
 import numpy as np
-import taichi as ti
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
 from taichi_eye.cloud.packing import FIXED, FREE, SLIDE, Cloud
+from taichi_eye.lang import ti
 from taichi_eye.mfpm.operators import WEIGHT_RADIUS
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.cornea import Cornea
@@ -33,8 +40,8 @@ from taichi_eye.solver.motion import Motion
 
 
 def ring_areas(places: np.ndarray) -> np.ndarray:
-    """Area vectors [m^2], shape [walls, 2], of the rings at `places`: dV/dx, nothing at the limbus, no radial part on the
-    axis (`Cornea.volume_gradient`, `Cornea.held`)."""
+    """Area vectors [m^2], shape [walls, 2], of the rings at `places`: dV/dx, nothing at the limbus, no radial part on
+    the axis (`Cornea.volume_gradient`, `Cornea.held`)."""
     edge = np.diff(places, axis=0)
     radius = 0.5 * (places[1:, 0] + places[:-1, 0])
     area = np.zeros_like(places)
@@ -48,8 +55,8 @@ def ring_areas(places: np.ndarray) -> np.ndarray:
 class PotentialFlow:
     """Flow maps of the chamber under the present cornea.
 
-    After `refresh`: neumann [walls, walls] and flow [nodes, walls] (1/m), both for ring fluxes [m^3/s]; the limbus, which
-    does not move, has a column of zeros.
+    After `refresh`: neumann [walls, walls] and flow [nodes, walls] (1/m), both for ring fluxes [m^3/s]; the limbus,
+    which does not move, has a column of zeros.
     """
 
     def __init__(self, cornea: Cornea, aqueous: Aqueous, motion: Motion):
@@ -62,7 +69,7 @@ class PotentialFlow:
         count = cloud.count
         size = self.aqueous.operators.size.to_numpy()[:count]
         self.width = int(size.max())
-        entry = self.aqueous.neighbours.entry.to_numpy()[:count, :self.width]
+        entry = self.aqueous.neighbours.entry.to_numpy()[:count, : self.width]
         used = np.arange(self.width) < size[:, None]
         node = np.where(used, np.where(entry < 0, -1 - entry, entry), 0)
         rows, slots = np.nonzero(used)
@@ -79,7 +86,8 @@ class PotentialFlow:
         self._setup_fits(cloud, node, entry, used)
 
     def _setup_fits(self, cloud, node, entry, used) -> None:
-        """Stencils and rigid normals of the boundary nodes; corners, where two walls meet, keep the normal derivative."""
+        """Stencils and rigid normals of the boundary nodes; corners, where two walls meet, keep the normal
+        derivative."""
         fitted = np.flatnonzero(~(self.interior.astype(bool)) & (cloud.kind != FIXED))
         self.fitted, self.fit_node, self.fit_used = fitted, node[fitted], used[fitted]
         self.fit_sign = np.where(entry[fitted] < 0, -1.0, 1.0)
@@ -96,8 +104,15 @@ class PotentialFlow:
         return (cloud.kind == FREE) | on_axis
 
     @ti.kernel
-    def _assemble(self, interior: ti.types.ndarray(), value: ti.types.ndarray(), diagonal: ti.types.ndarray(),
-                  volume: ti.types.ndarray(), area: ti.types.ndarray(), spacing: float):
+    def _assemble(
+        self,
+        interior: ti.types.ndarray(),
+        value: ti.types.ndarray(),
+        diagonal: ti.types.ndarray(),
+        volume: ti.types.ndarray(),
+        area: ti.types.ndarray(),
+        spacing: float,
+    ):
         for i in range(interior.shape[0]):
             normal = ti.Vector([0.0, 1.0])
             if i < area.shape[0]:
@@ -132,16 +147,16 @@ class PotentialFlow:
         fluxes = np.zeros((self.count + 1, self.walls))
         moving = np.arange(self.walls - 1)
         fluxes[moving, moving] = load[:-1] / area[:-1]
-        self.flow = splu(matrix).solve(fluxes)[:self.count]
-        self.neumann = self.flow[:self.walls].copy()
+        self.flow = splu(matrix).solve(fluxes)[: self.count]
+        self.neumann = self.flow[: self.walls].copy()
 
     def _fit(self, value, diagonal, load) -> None:
         """Boundary rows with the condition built in; load [walls]: what multiplies d phi/dn on the right-hand side."""
-        place = self.aqueous.place.to_numpy()[:self.count].astype(float)
+        place = self.aqueous.place.to_numpy()[: self.count].astype(float)
         here = place[self.fitted]
         normal = self.fit_normal.copy()
-        rings = ring_areas(place[:self.walls])[:self.fit_walls]
-        normal[:self.fit_walls] = rings / np.linalg.norm(rings, axis=1)[:, None]
+        rings = ring_areas(place[: self.walls])[: self.fit_walls]
+        normal[: self.fit_walls] = rings / np.linalg.norm(rings, axis=1)[:, None]
         along = np.column_stack([normal[:, 1], -normal[:, 0]])
         arm = place[self.fit_node]
         arm[..., 0] *= self.fit_sign
@@ -165,7 +180,9 @@ class PotentialFlow:
         row *= (self.spacing / radius[:, None]) ** 2
         value[self.fitted] = row
         diagonal[self.fitted] = -row.sum(1)
-        load[:self.fit_walls] = ((row * n).sum(1) * radius - normal[:, 0] / off_axis * self.spacing**2)[:self.fit_walls]
+        load[: self.fit_walls] = ((row * n).sum(1) * radius - normal[:, 0] / off_axis * self.spacing**2)[
+            : self.fit_walls
+        ]
 
     def show(self, potential: np.ndarray, rate: np.ndarray, wall_pressure: float, density: float) -> None:
         """Fill the liquid's velocity and excess pressure from phi and d phi/dt of each node, which moves with the wall.
@@ -173,8 +190,8 @@ class PotentialFlow:
         wall_pressure [Pa]: mean excess pressure on the wall, which the free constant of the pressure is set by.
         """
         self._show(potential, rate, density)
-        area = np.linalg.norm(ring_areas(self.cornea.place.to_numpy()[:self.walls]), axis=1)
-        found = self.aqueous.pressure.to_numpy()[:self.walls]
+        area = np.linalg.norm(ring_areas(self.cornea.place.to_numpy()[: self.walls]), axis=1)
+        found = self.aqueous.pressure.to_numpy()[: self.walls]
         self._lift(wall_pressure - float((area * found).sum() / area.sum()))
 
     @ti.kernel

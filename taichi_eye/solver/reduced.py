@@ -1,12 +1,15 @@
-"""The reduced rungs of the ladder as simulations: `membrane`, `cavity`, `added_mass` (`taichi_eye.solver.wall_stepper`).
+"""The reduced rungs of the ladder as simulations: `membrane`, `cavity`, `added_mass`
+(`taichi_eye.solver.wall_stepper`).
 
 A run without callbacks is a handful of kernel launches: milliseconds. Frames are kept, so that a run that has been made
-can be filmed afterwards. Where a film shows the liquid, its velocity and pressure at a frame are those of potential flow
-under the wall's own motion, computed for that frame alone: the wall of a cheap rung drives them, they do not act back.
+can be filmed afterwards. Where a film shows the liquid, its velocity and pressure at a frame are those of potential
+flow under the wall's own motion, computed for that frame alone: the wall of a cheap rung drives them, they do not act
+back.
 """
+
 import math
+from collections.abc import Callable
 from dataclasses import asdict
-from typing import Callable
 
 import numpy as np
 
@@ -25,15 +28,17 @@ from taichi_eye.solver.guards import failing, is_shell, least_stress
 from taichi_eye.solver.motion import Motion
 from taichi_eye.solver.potential import LayerFlow, PotentialFlow, ring_areas
 from taichi_eye.solver.rest import place_cornea
-from taichi_eye.solver.wall_stepper import (CLOSED, FIGURES, GREW, NOT_FINITE, PUFF_ROWS, RUNNING, SLACK, WallStepper)
+from taichi_eye.solver.wall_stepper import CLOSED, FIGURES, GREW, NOT_FINITE, PUFF_ROWS, RUNNING, SLACK, WallStepper
 from taichi_eye.solver.workspace import capacity, reuse
 from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
 
 BULK_MODULUS = 2.2e9  # Pa, water
 STOPS = {
-    CLOSED: ("the cornea reached the back of the chamber",
-             "Lower puff.peak_kpa, raise eye.iop_mmhg or chamber.depth_mm, or model the liquid that is in the way: "
-             'numerics.fidelity = "mfpm".'),
+    CLOSED: (
+        "the cornea reached the back of the chamber",
+        "Lower puff.peak_kpa, raise eye.iop_mmhg or chamber.depth_mm, or model the liquid that is in the way: "
+        'numerics.fidelity = "mfpm".',
+    ),
     NOT_FINITE: ("a value is not finite any more", "Lower numerics.cfl."),
     GREW: ("energy grew without work", 'Lower numerics.cfl, or use numerics.fidelity = "mfpm".'),
 }
@@ -58,9 +63,10 @@ class _Liquid:
 class Reduced:
     """A scene under a reduced model.
 
-    scene: resolved; model: a rung, or "layer" (thin-layer flow, a pilot's); cloud: its `cloud_of` where there is one already. Public: cornea (fields), section,
-    cloud (None until a flow is asked for), traces (dict of arrays so far), steps, refreshes, samples of the whole run, frames [frame,
-    node, 7] as `WallStepper.advance` keeps them.
+    scene: resolved; model: a rung, or "layer" (thin-layer flow, a pilot's); cloud: its `cloud_of` where there is one
+    already. Public: cornea (fields), section, cloud (None until a flow is asked for), traces (dict of arrays so far),
+    steps, refreshes, samples of the whole run,
+    frames [frame, node, 7] as `WallStepper.advance` keeps them.
     """
 
     def __init__(self, scene, model: str, cloud: Cloud | None = None):
@@ -88,7 +94,7 @@ class Reduced:
         self._puff_table = self.puff.pressure_at_apex(times)
         self._record = np.zeros((self.samples + 1, len(FIGURES)))
         self._record[0, 0], self._record[0, 2] = self.section.apex_z, scene.eye.iop_mmhg * MMHG
-        self._record[0, -1] = float(self.cornea.stress.to_numpy()[:self.wall_count - 1].min())
+        self._record[0, -1] = float(self.cornea.stress.to_numpy()[: self.wall_count - 1].min())
         count = min(scene.camera.frame_count, self.samples // self.samples_per_frame + 1)
         self.frames = np.zeros((count, self.wall_count, 7))
         self.frames[0, :, :2] = self.section.cornea_nodes(self.wall_count - 1)
@@ -104,10 +110,17 @@ class Reduced:
         sudden = (1.0 + cornea.viscoelastic_share) * cornea.flexural_modulus_mpa * 1e6
         rigidity = flexural_rigidity(sudden, thickest, cornea.poisson_ratio)
         bending = 0.5 * math.sqrt(cornea.density_kg_m3 * thinnest / rigidity) if rigidity > 0.0 else math.inf
-        self.stepper.setup(self.section.back_height(nodes[:, 0]), volume, volume / BULK_MODULUS, globe,
-                           scene.chamber.globe_delay_ms * MS,
-                           scene.chamber.sealed and self.model != "membrane", scene.aqueous.density_kg_m3, bending,
-                           -math.inf if is_shell(scene) else 0.0)
+        self.stepper.setup(
+            self.section.back_height(nodes[:, 0]),
+            volume,
+            volume / BULK_MODULUS,
+            globe,
+            scene.chamber.globe_delay_ms * MS,
+            scene.chamber.sealed and self.model != "membrane",
+            scene.aqueous.density_kg_m3,
+            bending,
+            -math.inf if is_shell(scene) else 0.0,
+        )
 
     @property
     def time_ms(self) -> float:
@@ -130,12 +143,15 @@ class Reduced:
         count = min(self.reached // self.samples_per_frame + 1, len(self.frames))
         return np.arange(count) * self.scene.camera.frame_interval_ms, self.frames[:count, :, :2] / MM
 
-    def run(self, on_frame: Callable[["Reduced", int], None] | None = None,
-            on_sample: Callable[["Reduced"], None] | None = None) -> dict[str, np.ndarray]:
+    def run(
+        self,
+        on_frame: Callable[["Reduced", int], None] | None = None,
+        on_sample: Callable[["Reduced"], None] | None = None,
+    ) -> dict[str, np.ndarray]:
         """Run to the end, then show the frames: on_frame(self, frame) and on_sample(self) at each.
 
-        A run that has been made is only shown. Returns the traces as arrays. Raises RunStopped where the model leaves its
-        validity, after the frames up to there; `traces` keeps what was computed.
+        A run that has been made is only shown. Returns the traces as arrays. Raises RunStopped where the model leaves
+        its validity, after the frames up to there; `traces` keeps what was computed.
         """
         self._advance()
         if on_frame or on_sample:
@@ -158,15 +174,27 @@ class Reduced:
             if self.flowing:
                 self._refresh()
             self.reached = self.stepper.advance(
-                self._puff_table, self.reached, self.samples, self.sample_ms * MS, self.scene.numerics.cfl, far,
-                self._record, self.samples_per_frame, self.frames)
+                self._puff_table,
+                self.reached,
+                self.samples,
+                self.sample_ms * MS,
+                self.scene.numerics.cfl,
+                far,
+                self._record,
+                self.samples_per_frame,
+                self.frames,
+            )
         if is_shell(self.scene) and self._lobes is None:
             self._stop_where_it_folds()
 
     def _stop_where_it_folds(self) -> None:
         """End a shell's run at the first frame that folds (`taichi_eye.solver.guards`)."""
         nodes, iop = self.section.cornea_nodes(self.wall_count - 1), self.scene.eye.iop_mmhg * MMHG
-        folding, shape, limit = Folding.from_scene(self.scene, nodes), self.puff.radial(nodes[:, 0]), least_stress(self.scene)
+        folding, shape, limit = (
+            Folding.from_scene(self.scene, nodes),
+            self.puff.radial(nodes[:, 0]),
+            least_stress(self.scene),
+        )
         for frame in range(len(self.wall_mm[0])):
             sample = frame * self.samples_per_frame
             if self._record[sample, FIGURES.index("least_stress")] <= limit:
@@ -186,7 +214,7 @@ class Reduced:
         walls = self.wall_count - 1
         rate = (flow.neumann - before) / since if before is not None and since > 0.0 else np.zeros_like(flow.neumann)
         self._refreshed_ms, self._neumann = now, flow.neumann
-        area = ring_areas(self.cornea.place.to_numpy()[:self.wall_count])[:walls]
+        area = ring_areas(self.cornea.place.to_numpy()[: self.wall_count])[:walls]
         mass = self.cornea.mass.to_numpy()[:walls]
         neumann = flow.neumann[:walls, :walls]
         system = np.eye(walls) + self.scene.aqueous.density_kg_m3 * neumann * ((area**2).sum(1) / mass)
@@ -200,11 +228,17 @@ class Reduced:
             if self.cloud is None:
                 self.cloud = pack(self.section, self.spacing)
             size = capacity(self.cloud.count)
-            self._liquid = reuse(self, (backend.generation(), "liquid", self.cornea, size),
-                                 lambda: _Liquid(self.cornea, size))
+            self._liquid = reuse(
+                self, (backend.generation(), "liquid", self.cornea, size), lambda: _Liquid(self.cornea, size)
+            )
             aqueous = self.scene.aqueous
-            self._liquid.aqueous.setup(self.cloud, aqueous.density_kg_m3, aqueous.viscosity_mpa_s * MPA_S,
-                                       self.scene.numerics.sound_speed_m_s, 0.0)
+            self._liquid.aqueous.setup(
+                self.cloud,
+                aqueous.density_kg_m3,
+                aqueous.viscosity_mpa_s * MPA_S,
+                self.scene.numerics.sound_speed_m_s,
+                0.0,
+            )
             self._liquid.flow.setup(self.cloud)
         return self._liquid.flow
 
@@ -228,7 +262,9 @@ class Reduced:
         if before is not None and span > 0.0:
             rate += (flow.flow - before) @ (flux / span)
         size = np.linalg.norm(area, axis=1)
-        flow.show(flow.flow @ flux, rate, float((size * wall[:, 6]).sum() / size.sum()), self.scene.aqueous.density_kg_m3)
+        flow.show(
+            flow.flow @ flux, rate, float((size * wall[:, 6]).sum() / size.sum()), self.scene.aqueous.density_kg_m3
+        )
         return fields.place, fields.velocity, fields.pressure, self.cloud.count
 
     def facts(self) -> dict:
@@ -238,11 +274,13 @@ class Reduced:
 
     def about(self) -> str:
         """The model of the liquid in a line."""
-        return {"membrane": "the IOP, whatever the volume",
-                "cavity": "a uniform pressure that holds the volume",
-                "layer": "potential flow of a thin layer",
-                "added_mass": "potential flow, its map made anew every "
-                              f"{self.scene.numerics.refresh_travel:g} spacings of travel"}[self.model]
+        return {
+            "membrane": "the IOP, whatever the volume",
+            "cavity": "a uniform pressure that holds the volume",
+            "layer": "potential flow of a thin layer",
+            "added_mass": "potential flow, its map made anew every "
+            f"{self.scene.numerics.refresh_travel:g} spacings of travel",
+        }[self.model]
 
     def _check(self) -> None:
         status = int(self.stepper.status[None])
@@ -251,17 +289,23 @@ class Reduced:
         nodes = self.section.cornea_nodes(self.wall_count - 1)
         radius = nodes[int(self.stepper.place_of_failure[None]), 0]
         if self._lobes is not None:
-            radius = Folding.from_scene(self.scene, nodes).ring(self.frames[self.reached // self.samples_per_frame, :, :2])
-        what, advice = STOPS.get(status) or failing(self._record[self.reached, FIGURES.index("least_stress")], self._lobes)
+            radius = Folding.from_scene(self.scene, nodes).ring(
+                self.frames[self.reached // self.samples_per_frame, :, :2]
+            )
+        what, advice = STOPS.get(status) or failing(
+            self._record[self.reached, FIGURES.index("least_stress")], self._lobes
+        )
         raise RunStopped(what, f"at r = {radius / MM:.2f} mm", self.time_ms, advice)
 
     @property
     def traces(self) -> dict[str, np.ndarray]:
         """The traces up to the sample shown, one array per column; SI of the kernels in the units of the names."""
-        taken = {name: column for name, column in zip(FIGURES, self._record[:self.sample + 1].T)}
+        taken = {name: column for name, column in zip(FIGURES, self._record[: self.sample + 1].T)}
         time_ms = np.arange(self.sample + 1) * self.sample_ms
-        energies = {f"{name}_uj": taken[name] * 1e6 for name in ("puff_work", "cornea_elastic", "cornea_kinetic",
-                                                                "aqueous_kinetic", "aqueous_elastic")}
+        energies = {
+            f"{name}_uj": taken[name] * 1e6
+            for name in ("puff_work", "cornea_elastic", "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic")
+        }
         energies["tissue_loss_uj"] = taken["tissue_loss"] * 1e6
         spent = sum(column for name, column in energies.items() if name != "puff_work_uj")
         nothing = np.zeros(self.sample + 1)
@@ -275,7 +319,8 @@ class Reduced:
             **energies,
             **{name: nothing for name in ("viscous_loss_uj", "numerical_loss_uj", "outflow_loss_uj")},
             "energy_error_uj": spent - energies["puff_work_uj"],
-            "coupling_iterations": nothing, "coupling_residual": nothing,
+            "coupling_iterations": nothing,
+            "coupling_residual": nothing,
             "cornea_min_stress_kpa": taken["least_stress"] * 1e-3,
         }
 

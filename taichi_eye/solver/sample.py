@@ -5,10 +5,11 @@ cache, and an eye does the same arithmetic in the same order whatever stands bes
 launches: the two kernels compile in half the time of one. Elsewhere (a GPU, one large eye on many threads) each part of
 a step is a loop over the nodes of all eyes; an eye that needs fewer steps than another waits.
 """
+
 import numpy as np
-import taichi as ti
 
 from taichi_eye import backend
+from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.solver.coupling import SERIAL_NODES, Coupling, plan_of
 from taichi_eye.solver.motion import Motion
 from taichi_eye.solver.survey import QUANTITIES, Survey
@@ -25,7 +26,7 @@ def _launches(coupling: Coupling, motion: Motion, survey: Survey):
     @ti.kernel
     def look(eye: int, rows: ti.types.ndarray()):
         ti.loop_config(serialize=True)
-        for once in range(1):
+        for _ in range(ONE_TASK):
             motion.move_eye(eye)
             survey.measure_eye(eye, rows)
 
@@ -46,8 +47,8 @@ def _launches(coupling: Coupling, motion: Motion, survey: Survey):
 class Sampler:
     """Takes eyes from one sample to the next, and keeps the figures of their last ones.
 
-    rows [eyes, quantities]: the survey's figures; figures: its columns by name. No Taichi class: each look-up in one costs
-    some 3 us.
+    rows [eyes, quantities]: the survey's figures; figures: its columns by name. No Taichi class: each look-up in one
+    costs some 3 us.
     """
 
     def __init__(self, coupling: Coupling, motion: Motion, survey: Survey):
@@ -63,8 +64,8 @@ class Sampler:
     def take(self, eyes, steps, dt, dt_before, puff_apex) -> None:
         """steps[k] steps of dt[k] [s] of each eye eyes[k], and its figures.
 
-        puff_apex [k, step] [Pa]: the puff on the axis at the end of each step; dt_before [k]: the step before this call,
-        as in `Coupling.advance`.
+        puff_apex [k, step] [Pa]: the puff on the axis at the end of each step; dt_before [k]: the step before this
+        call, as in `Coupling.advance`.
         """
         nodes, kick_dt = self._nodes[eyes], 0.5 * (dt + dt_before)
         plan = plan_of(eyes, steps, dt, kick_dt, puff_apex)

@@ -1,6 +1,7 @@
 """One scene's coupled simulation: a batch of one eye (`taichi_eye.solver.batch`), run frame by frame."""
+
+from collections.abc import Callable
 from dataclasses import asdict
-from typing import Callable
 
 import numpy as np
 
@@ -14,8 +15,8 @@ class Simulation:
     """One scene's coupled cornea and aqueous humour.
 
     scene: resolved; cloud: its `cloud_of`, packed here when left out (SceneError where that fails). Public: cornea,
-    aqueous (fields, this eye's from 0 on), section, cloud, quality, traces (dict of arrays), step_limit (the limit that set
-    the last time step), steps (taken so far), rebuilds.
+    aqueous (fields, this eye's from 0 on), section, cloud, quality, traces (dict of arrays), step_limit (the limit that
+    set the last time step), steps (taken so far), rebuilds.
     """
 
     def __init__(self, scene, cloud: Cloud | None = None):
@@ -24,7 +25,12 @@ class Simulation:
         self.section = self.cloud.section
         self.quality: CloudQuality = measure(self.cloud)
         self.batch = batch = Batch([scene], [self.cloud])
-        self.cornea, self.aqueous, self.coupling, self.survey = batch.cornea, batch.aqueous, batch.coupling, batch.survey
+        self.cornea, self.aqueous, self.coupling, self.survey = (
+            batch.cornea,
+            batch.aqueous,
+            batch.coupling,
+            batch.survey,
+        )
         self.puff = batch.puffs[0]
         self.samples_per_frame, self.sample_ms = int(batch.samples_per_frame[0]), float(batch.sample_ms[0])
 
@@ -69,22 +75,33 @@ class Simulation:
 
     def facts(self) -> dict:
         """What a summary tells about the discretisation and the work done."""
-        condition = float(self.aqueous.operators.condition.to_numpy()[:self.cloud.count].max())
+        condition = float(self.aqueous.operators.condition.to_numpy()[: self.cloud.count].max())
         sweeps = self.traces["coupling_iterations"]
         return {
-            "coupling_iterations": {"mean": float(sweeps[1:].mean()) if len(sweeps) > 1 else 0.0, "most": int(sweeps.max())},
+            "coupling_iterations": {
+                "mean": float(sweeps[1:].mean()) if len(sweeps) > 1 else 0.0,
+                "most": int(sweeps.max()),
+            },
             "cloud": {**asdict(self.quality), "wall_nodes": self.wall_count, "worst_stencil_condition": condition},
-            "steps": self.steps, "step_limit": self.step_limit, "operator_rebuilds": self.rebuilds}
+            "steps": self.steps,
+            "step_limit": self.step_limit,
+            "operator_rebuilds": self.rebuilds,
+        }
 
     def about(self) -> str:
         """The model of the liquid in a line."""
         quality, numerics = self.quality, self.scene.numerics
-        return (f"{quality.nodes} nodes at {numerics.spacing_mm:g} mm ({numerics.basis}), smallest gap "
-                f"{quality.smallest_gap:.2f} and largest hole {quality.largest_hole:.2f} spacings, "
-                f"c {numerics.sound_speed_m_s:g} m/s")
+        return (
+            f"{quality.nodes} nodes at {numerics.spacing_mm:g} mm ({numerics.basis}), smallest gap "
+            f"{quality.smallest_gap:.2f} and largest hole {quality.largest_hole:.2f} spacings, "
+            f"c {numerics.sound_speed_m_s:g} m/s"
+        )
 
-    def run(self, on_frame: Callable[["Simulation", int], None] | None = None,
-            on_sample: Callable[["Simulation"], None] | None = None) -> dict[str, np.ndarray]:
+    def run(
+        self,
+        on_frame: Callable[["Simulation", int], None] | None = None,
+        on_sample: Callable[["Simulation"], None] | None = None,
+    ) -> dict[str, np.ndarray]:
         """Run to the end; call on_frame(self, frame) at each film frame and on_sample(self) at each sample.
 
         Returns the traces as arrays. Raises RunStopped when a guard stops the run; `traces` keeps what was computed.

@@ -5,26 +5,55 @@ the viscous and the numerical loss, and what fluid carries off where it may leav
 integral of p / rho^2 d rho per unit mass; its part with the IOP is IOP (V0 - V), which is also what pushing fluid out
 costs.
 """
+
 import numpy as np
-import taichi as ti
 
 from taichi_eye.backend import real
+from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.cornea import Cornea
 from taichi_eye.solver.coupling import Coupling
 
 QUANTITIES = (
-    "apex_place", "apex_velocity", "fluid_pressure_apex", "volume_error", "puff_work", "cornea_elastic",
-    "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic", "viscous_loss", "numerical_loss", "outflow_loss",
+    "apex_place",
+    "apex_velocity",
+    "fluid_pressure_apex",
+    "volume_error",
+    "puff_work",
+    "cornea_elastic",
+    "cornea_kinetic",
+    "aqueous_kinetic",
+    "aqueous_elastic",
+    "viscous_loss",
+    "numerical_loss",
+    "outflow_loss",
     "tissue_loss",
-    "least_stress", "slackest_element", "membrane_speed", "transverse_speed", "membrane_step", "smallest_gap",
-    "flattest_triangle", "flat_node", "pair_weight", "worst_condition", "ill_node", "chamber_gap", "gap_node",
-    "not_finite", "bad_node", "wall_travel", "coupling_sweeps", "coupling_residual", "coupling_status")
+    "least_stress",
+    "slackest_element",
+    "membrane_speed",
+    "transverse_speed",
+    "membrane_step",
+    "smallest_gap",
+    "flattest_triangle",
+    "flat_node",
+    "pair_weight",
+    "worst_condition",
+    "ill_node",
+    "chamber_gap",
+    "gap_node",
+    "not_finite",
+    "bad_node",
+    "wall_travel",
+    "coupling_sweeps",
+    "coupling_residual",
+    "coupling_status",
+)
 
 
 @ti.data_oriented
 class Survey:
-    """Measures the state of coupled pairs into rows of named figures, one for each eye; nodes count from the eye's first."""
+    """Measures the state of coupled pairs into rows of named figures, one for each eye; nodes count from the eye's
+    first."""
 
     def __init__(self, cornea: Cornea, aqueous: Aqueous, coupling: Coupling):
         self.cornea, self.aqueous, self.coupling = cornea, aqueous, coupling
@@ -53,13 +82,14 @@ class Survey:
             self.back[i] = back_height[n]
             self.built_place[i] = self.cornea.place[i]
         ti.loop_config(serialize=True)
-        for once in range(1):
+        for _ in range(ONE_TASK):
             self.rest_energy[eye] = self.cornea.elastic_energy(eye)
             self.coupling.rest_enclosed[eye] = self.cornea.enclosed_volume(eye)
 
     @ti.kernel
     def remember_build(self, due: ti.types.ndarray()):
-        """Take the present wall as the one that the operator weights belong to, for the eyes in the mask `due` [eyes]."""
+        """Take the present wall as the one that the operator weights belong to, for the eyes in the mask `due`
+        [eyes]."""
         for eye in range(due.shape[0]):
             if due[eye] == 1:
                 for i in range(self.aqueous.first[eye], self.aqueous.first[eye] + self.aqueous.wall_count[eye]):
@@ -125,18 +155,45 @@ class Survey:
         if self.aqueous.compliance[eye] > 0.0:
             stretched = 0.5 * yielded * yielded / self.aqueous.compliance[eye]
         # the liquid's mean is stiffer than its waves: what the nodes' own elastic energy has too much of it
-        spared = rest_volume / self.aqueous.density0[eye] * (1.0 / self.aqueous.sound_speed[eye] ** 2
-                                                             - 1.0 / self.aqueous.mean_speed[eye] ** 2)
-        figures = ((
-            self.cornea.place[first][1], self.cornea.velocity[first][1],
-            self.cornea.iop[eye] + self.aqueous.pressure[first], (volume + yielded) / rest_volume - 1.0,
+        spared = (
+            rest_volume
+            / self.aqueous.density0[eye]
+            * (1.0 / self.aqueous.sound_speed[eye] ** 2 - 1.0 / self.aqueous.mean_speed[eye] ** 2)
+        )
+        figures = (
+            self.cornea.place[first][1],
+            self.cornea.velocity[first][1],
+            self.cornea.iop[eye] + self.aqueous.pressure[first],
+            (volume + yielded) / rest_volume - 1.0,
             self.cornea.puff_work[eye],
-            self.cornea.elastic_energy(eye) - self.rest_energy[eye], self.cornea.kinetic_energy(eye), kinetic,
+            self.cornea.elastic_energy(eye) - self.rest_energy[eye],
+            self.cornea.kinetic_energy(eye),
+            kinetic,
             elastic + self.cornea.iop[eye] * (rest_volume - volume) + stretched - 0.5 * spared * mean * mean,
-            viscous, numerical, carried, self.cornea.relaxed_work[eye] + self.aqueous.globe_work[eye] - stretched,
-            least, slackest - first, in_plane, transverse, step, ti.sqrt(gap),
-            flattest, flat - first, heaviest, worst, ill - first, room, near - first, ti.select(bad >= 0, 1.0, 0.0), ti.max(bad - first, -1), travel,
-            self.coupling.sweeps[eye], self.coupling.worst_residual[eye], self.coupling.status[eye]))
+            viscous,
+            numerical,
+            carried,
+            self.cornea.relaxed_work[eye] + self.aqueous.globe_work[eye] - stretched,
+            least,
+            slackest - first,
+            in_plane,
+            transverse,
+            step,
+            ti.sqrt(gap),
+            flattest,
+            flat - first,
+            heaviest,
+            worst,
+            ill - first,
+            room,
+            near - first,
+            ti.select(bad >= 0, 1.0, 0.0),
+            ti.max(bad - first, -1),
+            travel,
+            self.coupling.sweeps[eye],
+            self.coupling.worst_residual[eye],
+            self.coupling.status[eye],
+        )
         for q in ti.static(range(len(QUANTITIES))):
             rows[eye, q] = figures[q]
         self.coupling.sweeps[eye] = 0

@@ -1,25 +1,28 @@
 """The stable time step of the coupled scheme: the smallest of all its limits, times the user's `cfl`.
 
     acoustic + dissipation  g / (c (0.6 + 0.72 alpha h/g)): the leapfrog needs (w dt)^2/4 + d dt/2 <= 1, and the spectra
-                            of packed clouds have w up to 1.6 c/h and a dissipation d up to 3.4 alpha c/h, g about 0.8 h;
-                            under a dent w grows as 1/g, and d as h/g^2, since alpha c h stays
-    dissipation             0.55 / (alpha c h S), S the largest sum over a stencil of its pair weights: d is at most 4 alpha
-                            c h S, where every neighbour has the other sign, and lagged it needs d dt <= 2 (0.5); runs
+                            of packed clouds have w up to 1.6 c/h and a dissipation d up to 3.4 alpha c/h, g about 0.8
+                            h; under a dent w grows as 1/g, and d as h/g^2, since alpha c h stays
+    dissipation             0.55 / (alpha c h S), S the largest sum over a stencil of its pair weights: d is at most 4
+                            alpha c h S, where every neighbour has the other sign, and lagged it needs d dt <= 2 (0.5);
+                            runs
                             into the back blew up at 0.54. Binds only where the cloud is squeezed to half its height
     viscous                 g^2 rho / (4 mu)
     membrane, in plane      L / sqrt((B + S1) / rho_s), B the tangent along the meridian: twice the stiffness at twice
                             the stretch, so it shrinks as the cornea dents
     membrane, transverse    L / sqrt(S1 / rho_s)
     membrane, bending       (L^2 / 2) sqrt(rho_s h_wall / D): the stiffest wave of a plate, D of the thickest part
-    coupling                sqrt(g rho_s h_wall / (rho c^2)): half of where a sweep stops contracting; beyond, light walls are
-                            unstable even where the iteration converges
-    volume                  sqrt(rho_s h_wall V / (rho A (c_m^2 - c^2))), A the area of the cornea: half of where the explicit
-                            part of the mean pressure's stiffness rings with the wall's mass. Without a limit the default eye
-                            at h 0.2 mm, c 20 m/s rings at 1.4 and blows up at 1.9 times this
+    coupling                sqrt(g rho_s h_wall / (rho c^2)): half of where a sweep stops contracting; beyond, light
+                            walls are unstable even where the iteration converges
+    volume                  sqrt(rho_s h_wall V / (rho A (c_m^2 - c^2))), A the area of the cornea: half of where the
+                            explicit part of the mean pressure's stiffness rings with the wall's mass. Without a limit
+                            the
+                            default eye at h 0.2 mm, c 20 m/s rings at 1.4 and blows up at 1.9 times this
 
 g is the smallest distance between two nodes now, h the spacing, L the shortest element of the membrane, alpha the
 dissipation, c_m the sound speed of the mean pressure.
 """
+
 import math
 
 import numpy as np
@@ -27,17 +30,25 @@ import numpy as np
 from taichi_eye.eye.section import Section
 from taichi_eye.eye.tissue import flexural_rigidity
 
-
-NAMES = ("acoustic", "dissipation", "viscous", "membrane in plane", "membrane transverse", "membrane bending", "coupling",
-         "volume")
+NAMES = (
+    "acoustic",
+    "dissipation",
+    "viscous",
+    "membrane in plane",
+    "membrane transverse",
+    "membrane bending",
+    "coupling",
+    "volume",
+)
 
 
 class StepLimits:
     """The limits of several resolved scenes together, arrays over the scenes."""
 
     def __init__(self, scenes):
-        self._slope, self._offset, self._damping, self._friction, self._bending, self._coupling, volume, self._cfl = np.array(
-            [self._constants(scene) for scene in scenes]).T
+        self._slope, self._offset, self._damping, self._friction, self._bending, self._coupling, volume, self._cfl = (
+            np.array([self._constants(scene) for scene in scenes]).T
+        )
         self._table = np.empty((len(NAMES), len(volume)))
         self._table[7] = volume
 
@@ -50,10 +61,16 @@ class StepLimits:
         sudden = (1.0 + cornea.viscoelastic_share) * cornea.flexural_modulus_mpa * 1e6
         rigidity = flexural_rigidity(sudden, thickest, cornea.poisson_ratio)
         friction = 4.0 * scene.aqueous.viscosity_mpa_s * 1e-3
-        return (0.6 * c, 0.72 * alpha * spacing * 1e-3 * c, 0.55 / max(alpha * c * spacing * 1e-3, 1e-30),
-                density / friction if friction > 0.0 else math.inf,
-                0.5 * math.sqrt(wall_mass / rigidity) if rigidity > 0.0 else math.inf,
-                math.sqrt(wall_mass / density) / c, StepLimits._volume_limit(scene, wall_mass), numerics.cfl)
+        return (
+            0.6 * c,
+            0.72 * alpha * spacing * 1e-3 * c,
+            0.55 / max(alpha * c * spacing * 1e-3, 1e-30),
+            density / friction if friction > 0.0 else math.inf,
+            0.5 * math.sqrt(wall_mass / rigidity) if rigidity > 0.0 else math.inf,
+            math.sqrt(wall_mass / density) / c,
+            StepLimits._volume_limit(scene, wall_mass),
+            numerics.cfl,
+        )
 
     @staticmethod
     def _volume_limit(scene, wall_mass: float) -> float:
@@ -65,7 +82,8 @@ class StepLimits:
         return math.sqrt(wall_mass * section.volume() / (scene.aqueous.density_kg_m3 * area * spread))
 
     def of(self, figures) -> np.ndarray:
-        """All limits [s] of the scenes, a row to each of NAMES, from a survey's figures; the next call overwrites them."""
+        """All limits [s] of the scenes, a row to each of NAMES, from a survey's figures; the next call overwrites
+        them."""
         gap, table = figures["smallest_gap"], self._table
         squared, length = gap * gap, figures["membrane_step"] * figures["membrane_speed"]
         # an eye that was stopped may have left anything

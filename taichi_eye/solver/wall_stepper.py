@@ -1,37 +1,54 @@
-"""Reduced models: the cornea over a liquid that is not resolved in time. They have no acoustics and no acoustic time step.
+"""Reduced models: the cornea over a liquid that is not resolved in time. They have no acoustics and no acoustic time
+step.
 
-The membrane is that of `taichi_eye.solver.cornea`. Its ring i, of area vector G_i = dV/dx_i, feels the excess pressure p_i:
+The membrane is that of `taichi_eye.solver.cornea`. Its ring i, of area vector G_i = dV/dx_i, feels the excess pressure
+p_i:
 
 membrane    p = 0: the IOP stays, whatever the chamber's volume (studies without fluid did that).
 cavity      p = p0, uniform: the chamber is sealed and yields to pressure by its compliance alone.
-added_mass  p from incompressible potential flow (`taichi_eye.solver.potential`), Bernoulli's equation on the moving nodes,
+added_mass  p from incompressible potential flow (`taichi_eye.solver.potential`), Bernoulli's equation on the moving
+            nodes,
 
-    p = p0 - rho [ N (G . a + dG/dt . v) + dN/dt Q + (phi_s^2 - v_n^2)/2 - v_s phi_s ],   Q = G . v,  phi = N Q on the wall,
+    p = p0 - rho [ N (G . a + dG/dt . v) + dN/dt Q + (phi_s^2 - v_n^2)/2 - v_s phi_s ],   Q = G . v,  phi = N Q on the
+                                                                                          wall,
 
 where s runs along the wall, v_n and v_s are the wall's velocity across and along. With a = (F + G p)/m and D = |G|^2/m
 this is (1 + rho N D) p = p0 - rho [N (G . F/m + dG/dt . v) + ...]. N is refreshed once the wall has moved by
 `REFRESH_TRAVEL` spacings; between refreshes the inverse at the last one corrects the defect of the pressure of the step
 before, one sweep per step. What is quadratic in the velocity is taken once per sample.
 
-Volume. p0 is the multiplier of V(x) = V0 - C p0 at the END of the step, found by Newton's iteration to 1e-13 of V0, so a
-stiff chamber costs no time step and its volume does not drift. C is the compliance of the globe (`chamber.compliance`)
-plus V0 / K with K the bulk modulus of water. A globe whose wall is viscous (`chamber.globe_delay_ms`) takes up y instead of its
-C p0, dy/dt = (C p0 - y) / delay. Where C is so soft that the chamber's own mode is resolved, p0 = (V0 - V)/C
+Volume. p0 is the multiplier of V(x) = V0 - C p0 at the END of the step, found by Newton's iteration to 1e-13 of V0, so
+a stiff chamber costs no time step and its volume does not drift. C is the compliance of the globe
+(`chamber.compliance`)
+plus V0 / K with K the bulk modulus of water. A globe whose wall is viscous (`chamber.globe_delay_ms`) takes up y
+instead of its C p0, dy/dt = (C p0 - y) / delay. Where C is so soft that the chamber's own mode is resolved, p0 = (V0 -
+V)/C
 of the start of the step: the end's value would damp it. In an open chamber p0 = 0.
 
 Time: leapfrog, the membrane's in-plane waves (and bending) set the step. A sample's steps run inside one kernel.
 """
-import taichi as ti
 
 from taichi_eye.backend import real
+from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.solver import guards
 from taichi_eye.solver.cornea import Cornea
 
 SMOOTHINGS = 4  # of what is quadratic in the velocity
 PUFF_ROWS = 4  # of the puff's table per sample, linear in between
 RUNNING, SLACK, CLOSED, NOT_FINITE, GREW = range(5)
-FIGURES = ("apex_place", "apex_velocity", "pressure_apex", "volume_error", "puff_work", "cornea_elastic",
-           "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic", "tissue_loss", "least_stress")
+FIGURES = (
+    "apex_place",
+    "apex_velocity",
+    "pressure_apex",
+    "volume_error",
+    "puff_work",
+    "cornea_elastic",
+    "cornea_kinetic",
+    "aqueous_kinetic",
+    "aqueous_elastic",
+    "tissue_loss",
+    "least_stress",
+)
 
 
 @ti.data_oriented
@@ -48,27 +65,46 @@ class WallStepper:
         scalar = lambda: ti.field(fp, cornea.capacity)
         self.ring, self.ring_before, self.free, self.trial, self.moved = (vector() for _ in range(5))
         self.pressure, self.unit_pressure, self.flux_rate, self.quadratic, self.defect, self.across = (
-            scalar() for _ in range(6))
+            scalar() for _ in range(6)
+        )
         self.back, self.travel_from = scalar(), vector()
         width = cornea.capacity if flowing else 1
         self.neumann, self.inverse, self.neumann_rate = (ti.field(fp, (width, width)) for _ in range(3))
         self.mean_pressure, self.rest_volume, self.rest_enclosed, self.compliance, self.density = (
-            ti.field(fp, ()) for _ in range(5))
+            ti.field(fp, ()) for _ in range(5)
+        )
         # of the rest of the globe: compliance, delay, volume it has taken up, work done on it
         self.globe, self.globe_delay, self.taken_up, self.globe_work = (ti.field(fp, ()) for _ in range(4))
         self.sealed, self.status, self.place_of_failure, self.steps = (ti.field(ti.i32, ()) for _ in range(4))
         self.last_dt, self.rest_energy, self.largest_work, self.bending_step, self.least_stress = (
-            ti.field(fp, ()) for _ in range(5))
+            ti.field(fp, ()) for _ in range(5)
+        )
 
     @ti.kernel
-    def setup(self, back: ti.types.ndarray(), volume: float, compliance: float, globe: float, globe_delay: float,
-              sealed: int, density: float, bending_step: float, least_stress: float):
-        """Take the cornea's present state as rest; back [walls]: z of the rigid back below each node [m]; compliance [m^3/Pa] of
-        the liquid and of the globe, and the globe's delay [s]; density of the liquid [kg/m^3]; bending_step: limit of the step by
-        the plate's stiffest wave per squared element [s/m^2]; least_stress [Pa]: at which the run stops."""
+    def setup(
+        self,
+        back: ti.types.ndarray(),
+        volume: float,
+        compliance: float,
+        globe: float,
+        globe_delay: float,
+        sealed: int,
+        density: float,
+        bending_step: float,
+        least_stress: float,
+    ):
+        """Take the cornea's present state as rest; back [walls]: z of the rigid back below each node [m]; compliance
+        [m^3/Pa] of the liquid and of the globe, and the globe's delay [s]; density of the liquid [kg/m^3];
+        bending_step: limit of
+        the step by the plate's stiffest wave per squared element [s/m^2]; least_stress [Pa]: at which the run stops."""
         self.sealed[None], self.status[None], self.steps[None] = sealed, RUNNING, 0
         self.compliance[None], self.rest_volume[None], self.density[None] = compliance, volume, density
-        self.globe[None], self.globe_delay[None], self.taken_up[None], self.globe_work[None] = globe, globe_delay, 0.0, 0.0
+        self.globe[None], self.globe_delay[None], self.taken_up[None], self.globe_work[None] = (
+            globe,
+            globe_delay,
+            0.0,
+            0.0,
+        )
         self.mean_pressure[None], self.last_dt[None], self.largest_work[None] = 0.0, 0.0, 0.0
         self.bending_step[None], self.least_stress[None] = bending_step, least_stress
         for i in range(self.cornea.last[0] + 1):
@@ -79,13 +115,18 @@ class WallStepper:
             self.ring[i] = self.cornea.held(0, i, self.cornea.volume_gradient(0, i))
             self.ring_before[i] = self.ring[i]
         ti.loop_config(serialize=True)
-        for once in range(1):
+        for _ in range(ONE_TASK):
             self.rest_enclosed[None] = self.cornea.enclosed_volume(0)
             self.rest_energy[None] = self.cornea.elastic_energy(0)
 
     @ti.kernel
-    def load_flow(self, neumann: ti.types.ndarray(), inverse: ti.types.ndarray(), rate: ti.types.ndarray(),
-                  unit: ti.types.ndarray()):
+    def load_flow(
+        self,
+        neumann: ti.types.ndarray(),
+        inverse: ti.types.ndarray(),
+        rate: ti.types.ndarray(),
+        unit: ti.types.ndarray(),
+    ):
         """New maps: N [1/m], (1 + rho N D)^-1, dN/dt, and the response of the pressure to a unit p0."""
         for i in range(unit.shape[0]):
             self.unit_pressure[i] = unit[i]
@@ -169,7 +210,7 @@ class WallStepper:
         count = self.cornea.last[0]
         for i in range(count):
             self.across[i] = self.cornea.velocity[i].dot(self.ring[i].normalized())
-        for once in ti.static(range(SMOOTHINGS)):
+        for _ in ti.static(range(SMOOTHINGS)):
             self._smooth(self.across)
         for i in range(count):
             self.flux_rate[i] = self.ring[i].norm() * self.across[i]
@@ -188,7 +229,7 @@ class WallStepper:
                 slope = (self.defect[ahead] - self.defect[i - 1]) / arm.norm()
                 sliding = self.cornea.velocity[i].dot(arm.normalized())
             self.quadratic[i] += 0.5 * (slope * slope - self.across[i] ** 2) - sliding * slope
-        for once in ti.static(range(SMOOTHINGS)):
+        for _ in ti.static(range(SMOOTHINGS)):
             self._smooth(self.quadratic)
 
     @ti.func
@@ -211,7 +252,7 @@ class WallStepper:
             if reach * swing < give:
                 change = (full - self._volume_at(self.cornea.place)) / give - p0
             else:
-                for sweep in range(4):
+                for _ in range(4):
                     for i in range(count):
                         a = self.free[i] + self.ring[i] * (change * self.unit_pressure[i] / self.cornea.mass[i])
                         self.trial[i] = self.cornea.place[i] + dt * (self.cornea.velocity[i] + kick * a)
@@ -234,8 +275,18 @@ class WallStepper:
             self.cornea.place[i] += self.moved[i]
 
     @ti.kernel
-    def advance(self, puff: ti.types.ndarray(), first: int, last: int, span: float, cfl: float, far: float,
-                record: ti.types.ndarray(), per_frame: int, frames: ti.types.ndarray()) -> ti.i32:
+    def advance(
+        self,
+        puff: ti.types.ndarray(),
+        first: int,
+        last: int,
+        span: float,
+        cfl: float,
+        far: float,
+        record: ti.types.ndarray(),
+        per_frame: int,
+        frames: ti.types.ndarray(),
+    ) -> ti.i32:
         """Take samples of `span` [s] from sample `first` to `last`; the sample reached.
 
         Ends early where a guard stops it (`status`), or once a node has moved by `far` [m] since the maps were loaded.
@@ -321,8 +372,9 @@ class WallStepper:
         stretched = 0.0  # of the globe
         if self.globe[None] > 0.0:
             stretched = 0.5 * self.taken_up[None] ** 2 / self.globe[None]
-        stored = (0.5 * self.compliance[None] * p0 * p0 + stretched
-                  + self.cornea.iop[0] * (self.rest_volume[None] - volume))
+        stored = (
+            0.5 * self.compliance[None] * p0 * p0 + stretched + self.cornea.iop[0] * (self.rest_volume[None] - volume)
+        )
         self.largest_work[None] = ti.max(self.largest_work[None], ti.abs(work))
         gained = elastic + kinetic + swept + stored - work
         if finite == 0 or ti.math.isnan(gained):
@@ -333,10 +385,21 @@ class WallStepper:
             self.status[None], self.place_of_failure[None] = CLOSED, near
         elif gained > guards.ENERGY_SHARE * self.largest_work[None] + guards.ENERGY_FLOOR:
             self.status[None] = GREW
-        figures = ti.Vector([
-            self.cornea.place[0][1], self.cornea.velocity[0][1] + half * self.cornea.acceleration[0][1],
-            self.cornea.iop[0] + self.pressure[0], volume / self.rest_volume[None] - 1.0,
-            work, elastic, kinetic, swept, stored, self.cornea.relaxed_work[0] + self.globe_work[None] - stretched, least])
+        figures = ti.Vector(
+            [
+                self.cornea.place[0][1],
+                self.cornea.velocity[0][1] + half * self.cornea.acceleration[0][1],
+                self.cornea.iop[0] + self.pressure[0],
+                volume / self.rest_volume[None] - 1.0,
+                work,
+                elastic,
+                kinetic,
+                swept,
+                stored,
+                self.cornea.relaxed_work[0] + self.globe_work[None] - stretched,
+                least,
+            ]
+        )
         for q in ti.static(range(len(FIGURES))):
             record[row, q] = figures[q]
 

@@ -4,6 +4,7 @@ Fields are allocated for a capacity, a power of two, and hold any smaller cloud;
 compiled for. A workspace that its simulation no longer holds goes to the next one that fits, which then compiles
 nothing.
 """
+
 import weakref
 
 from taichi_eye import backend
@@ -15,7 +16,8 @@ from taichi_eye.solver.sample import Sampler
 from taichi_eye.solver.survey import Survey
 
 SMALLEST = 2048  # nodes: scenes below share one set of kernels, in this process and in the offline cache
-# nodes on top: a node's values in fields a power of two apart all fall into the same few lines of a cache (a tenth of a step
+# nodes on top: a node's values in fields a power of two apart all fall into the same few lines of a cache (a tenth of a
+# step
 # at 16000 nodes)
 SPREAD = 56
 FEWEST = 32  # eyes of a batch, likewise
@@ -26,7 +28,8 @@ _free: dict[tuple, list] = {}
 class Workspace:
     """Corneas, aqueous humours and what steps and measures them, for up to `nodes` nodes of up to `eyes` eyes.
 
-    Both are indexed alike, so the cornea's fields are as long as the liquid's, though it fills the start of each eye only.
+    Both are indexed alike, so the cornea's fields are as long as the liquid's, though it fills the start of each eye
+    only.
     """
 
     def __init__(self, nodes: int, eyes: int, basis: str):

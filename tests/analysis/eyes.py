@@ -1,9 +1,10 @@
 """A synthetic air puff: walls in closed form, and frames of them from the renderer."""
+
 import numpy as np
-import taichi as ti
 
 from taichi_eye.backend import real
 from taichi_eye.film import FrameState, Scheimpflug
+from taichi_eye.lang import ti
 from taichi_eye.scene import load_scene
 
 NODES = 120
@@ -31,7 +32,9 @@ def film(times_ms, overrides=()):
     view, empty, frames = Scheimpflug(scene), np.empty(0), []
     for time in times_ms:
         wall.from_numpy(np.column_stack([R_MM, wall_mm(time)]) * 1e-3)
-        frames.append(view.render(FrameState(float(time), wall, NODES, nodes, 0, pressure, velocity, *[empty] * 3)).copy())
+        frames.append(
+            view.render(FrameState(float(time), wall, NODES, nodes, 0, pressure, velocity, *[empty] * 3)).copy()
+        )
     return np.stack(frames)
 
 

@@ -1,4 +1,5 @@
 """Edges and parameters read back from rendered frames, whole and damaged, against the walls they were rendered from."""
+
 import io
 import subprocess
 import sys
@@ -17,7 +18,7 @@ from taichi_eye.film import FilmWriter, frame_name
 sys.path.insert(0, str(Path(__file__).parent))
 import eyes  # noqa: E402
 
-TIMES = 0.2315 * np.arange(0, 138, 2)        # every other frame keeps these tests short
+TIMES = 0.2315 * np.arange(0, 138, 2)  # every other frame keeps these tests short
 
 
 def jpeg(frame, quality):
@@ -80,7 +81,7 @@ def test_a_film_off_centre_compressed_with_a_logo_and_frames_missing(true):
 
 
 def test_a_cornea_cut_by_the_top_is_bridged(frames, true):
-    cut = np.concatenate([frames[:, 24:], frames[:, :24] // 4], axis=1)     # the apex 8 px over the frame at rest
+    cut = np.concatenate([frames[:, 24:], frames[:, :24] // 4], axis=1)  # the apex 8 px over the frame at rest
     curves = curves_from_edges(find_edges(cut), TIMES, Instrument())
     assert any("cut" in note for note in curves.notes)
     assert respond(curves).deformation_amplitude_mm == pytest.approx(1.0, abs=0.03)
@@ -105,12 +106,28 @@ def movie(frames, tmp_path_factory):
 
 
 def test_a_film_file_from_the_command_line(movie, true, tmp_path):
-    command = [sys.executable, "-m", "taichi_eye", "analyze", str(movie), "--out", str(tmp_path / "out"), "--biop-mmhg", "15"]
+    command = [
+        sys.executable,
+        "-m",
+        "taichi_eye",
+        "analyze",
+        str(movie),
+        "--out",
+        str(tmp_path / "out"),
+        "--biop-mmhg",
+        "15",
+    ]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert "deformation_amplitude_mm" in done.stdout and "stamps in the frames" in done.stdout
     assert {p.name for p in (tmp_path / "out").iterdir()} == {
-        "parameters.csv", "parameters.json", "histories.csv", "edges.npz", "overlay.mp4", "analysis.png"}
+        "parameters.csv",
+        "parameters.json",
+        "histories.csv",
+        "edges.npz",
+        "overlay.mp4",
+        "analysis.png",
+    }
 
 
 def test_a_film_from_python_leaves_no_files(movie, true):

@@ -1,4 +1,5 @@
 """DCR parameters of curves whose parameters are known in closed form."""
+
 import numpy as np
 import pytest
 
@@ -33,7 +34,7 @@ def test_circle_has_its_curvature(radius):
 
 def test_applanations_lie_where_the_curvature_vanishes():
     response = respond(parabolas())
-    share = 0.125 / (0.125 + 1.0 / 7.0)              # of the puff, at which the curvature is zero
+    share = 0.125 / (0.125 + 1.0 / 7.0)  # of the puff, at which the curvature is zero
     late = 5.0 * np.sqrt(-np.log(share))
     assert response.a1_time_ms == pytest.approx(16.0 - late, abs=0.03)
     assert response.a2_time_ms == pytest.approx(16.0 + late, abs=0.03)

@@ -1,4 +1,5 @@
 """What the peer comparison rests on: times at equal error, the periodic box, and a peer that cannot be had."""
+
 import math
 
 import numpy as np
@@ -61,7 +62,12 @@ def test_an_environment_that_cannot_be_made_is_a_missing_peer(monkeypatch, tmp_p
 def test_the_periodic_box_has_every_node_once_and_every_image_outside(spacing):
     cloud, images = periodic_box(spacing)
     points = cloud.points
-    assert points[:, 0].min() >= 0.0 and points[:, 0].max() < 1.0 and points[:, 1].min() > -1.0 and points[:, 1].max() <= 0.0
+    assert (
+        points[:, 0].min() >= 0.0
+        and points[:, 0].max() < 1.0
+        and points[:, 1].min() > -1.0
+        and points[:, 1].max() <= 0.0
+    )
     everyone = np.vstack([points, images.place])
     # shifted by a period either way the cloud falls on itself
     for shift in ((1.0, 0.0), (0.0, 1.0), (1.0, -1.0)):

@@ -1,4 +1,5 @@
 """Node clouds: on the walls, even, whole, and the same every time."""
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -40,11 +41,11 @@ def cloud(request, clouds):
 
 def outline(cloud):
     """Corners of the polygon of boundary nodes: wall from apex to limbus, back from rim to axis, axis up again."""
-    return cloud.points[:np.count_nonzero(cloud.kind != FREE)]
+    return cloud.points[: np.count_nonzero(cloud.kind != FREE)]
 
 
 def test_wall_nodes_stand_on_the_sphere_at_equal_angles(cloud):
-    section, wall = cloud.section, cloud.points[:cloud.wall_count]
+    section, wall = cloud.section, cloud.points[: cloud.wall_count]
     angle = np.arctan2(wall[:, 0], wall[:, 1] - section.centre_z)
     np.testing.assert_allclose(np.hypot(wall[:, 0], wall[:, 1] - section.centre_z), section.radius, rtol=1e-12)
     np.testing.assert_allclose(angle, np.linspace(0.0, section.limbus_angle, cloud.wall_count), atol=1e-12)
@@ -75,9 +76,9 @@ def test_every_boundary_node_stands_on_its_boundary(cloud):
 
 
 def test_each_kind_of_node_stands_where_it_may(cloud):
-    section, (r, z), kind = cloud.section, cloud.points.T, cloud.kind
-    assert np.all(kind[:cloud.wall_count - 1] == WALL) and kind[cloud.wall_count - 1] == FIXED
-    assert np.all(kind[cloud.wall_count:] != WALL)
+    section, r, kind = cloud.section, cloud.points[:, 0], cloud.kind
+    assert np.all(kind[: cloud.wall_count - 1] == WALL) and kind[cloud.wall_count - 1] == FIXED
+    assert np.all(kind[cloud.wall_count :] != WALL)
     np.testing.assert_allclose(np.linalg.norm(cloud.direction, axis=1), kind == SLIDE, atol=1e-12)
     # sliding along its direction keeps a node on its boundary, to second order
     step = 1e-3 * cloud.spacing
@@ -140,19 +141,22 @@ def test_triangle_volume_tends_to_the_chamber_volume_at_second_order(name, cloud
 
 def test_node_motion_weights_are_0_on_the_back_and_1_on_the_cornea(cloud):
     section, (r, z), height = cloud.section, cloud.points.T, cloud.height_fraction
-    assert np.all(height[:cloud.wall_count] == 1.0)
+    assert np.all(height[: cloud.wall_count] == 1.0)
     on_back = (z <= section.back_height(r) + 1e-9 * cloud.spacing) & (np.arange(cloud.count) >= cloud.wall_count)
     assert height[on_back].max() < 1e-12
     free = cloud.kind == FREE
     assert np.all((height[free] > 0.0) & (height[free] < 1.0))
-    np.testing.assert_allclose(height[free], (z[free] - section.back_height(r[free]))
-                               / (section.cornea_height(r[free]) - section.back_height(r[free])), atol=1e-9)
+    np.testing.assert_allclose(
+        height[free],
+        (z[free] - section.back_height(r[free])) / (section.cornea_height(r[free]) - section.back_height(r[free])),
+        atol=1e-9,
+    )
     # the element above a node, and the place in it
     k, f = cloud.wall_index, cloud.wall_fraction
     assert k.min() >= 0 and k.max() <= cloud.wall_count - 2 and f.min() >= 0.0 and f.max() <= 1.0
     angle = section.limbus_angle / (cloud.wall_count - 1) * (k + f)
     np.testing.assert_allclose(section.radius * np.sin(angle), r, atol=1e-9 * section.radius)
-    np.testing.assert_array_equal((k + f)[:cloud.wall_count], np.arange(cloud.wall_count))
+    np.testing.assert_array_equal((k + f)[: cloud.wall_count], np.arange(cloud.wall_count))
 
 
 @pytest.mark.parametrize("name, spacing", CASES[::4])
@@ -181,12 +185,15 @@ def all_pairs_relax(section, fixed, inner, spacing, rounds):
     return inner
 
 
-@pytest.mark.parametrize("name, spacing_mm, rounds", [("default", 0.25, 60), ("side wall", 0.3, 60), ("default", 0.1, 8)])
+@pytest.mark.parametrize(
+    "name, spacing_mm, rounds", [("default", 0.25, 60), ("side wall", 0.3, 60), ("default", 0.1, 8)]
+)
 def test_kept_lists_and_resting_nodes_change_nothing(name, spacing_mm, rounds):
     section, spacing = section_of(name), spacing_mm * MM
     fixed = boundary(section, spacing)[0]
-    r, z = np.meshgrid(np.arange(spacing, section.limbus_radius, spacing),
-                       np.arange(section.back_z, section.apex_z, 0.866 * spacing))
+    r, z = np.meshgrid(
+        np.arange(spacing, section.limbus_radius, spacing), np.arange(section.back_z, section.apex_z, 0.866 * spacing)
+    )
     r[1::2] -= 0.5 * spacing
     inner = np.column_stack([r.ravel(), z.ravel()])
     inner = inner[section.wall_clearance(inner) > 0.6 * spacing]

@@ -1,4 +1,5 @@
 """The air puff: its published numbers, the measured course and a user's table."""
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -15,6 +16,7 @@ def puff(*overrides):
 def half_times(load, peak, centre):
     def above_half(t):
         return load.pressure_at_apex(t) - peak / 2
+
     return brentq(above_half, 0, centre, xtol=1e-12), brentq(above_half, centre, 0.032, xtol=1e-12)
 
 
@@ -54,9 +56,9 @@ def test_measured_course():
     rise, fall = half_times(load, 12.85e3, 16.15e-3)
     width_ms = 8.00 * np.log(2) ** (1 / 2.59) + 4.175 * np.log(2) ** (1 / 1.547)
     assert fall - rise == pytest.approx(width_ms * 1e-3, rel=1e-9)
-    assert width_ms == pytest.approx(10.4, rel=0.02)               # what the fit stands for
+    assert width_ms == pytest.approx(10.4, rel=0.02)  # what the fit stands for
     share = load.pressure_at_apex(np.array([5.27e-3, 22.93e-3])) / 12.85e3
-    np.testing.assert_allclose(share, 0.1, atol=0.021)             # measured 10 % times
+    np.testing.assert_allclose(share, 0.1, atol=0.021)  # measured 10 % times
     assert load.pressure_at_apex(0.0) < 0.01 * 12.85e3
     assert np.all(load.pressure_at_apex(np.array([13.8e-3, 16.5e-3])) > 0.95 * 12.85e3)
 
@@ -84,9 +86,14 @@ def test_shapes(course):
 
 def test_puffs_of_many_eyes_are_each_ones_own_bit_for_bit(tmp_path):
     (tmp_path / "puff.csv").write_text("time_ms,pressure_kpa\n0,0\n10,7\n25,0\n", encoding="utf-8")
-    loads = [puff(), puff("puff.time_course=corvis", "puff.peak_kpa=13"), puff("puff.duration_ms=20", "puff.spread_b=18"),
-             puff("puff.time_course=file", f"puff.file={tmp_path / 'puff.csv'}"), puff("puff.time_course=corvis")]
+    loads = [
+        puff(),
+        puff("puff.time_course=corvis", "puff.peak_kpa=13"),
+        puff("puff.duration_ms=20", "puff.spread_b=18"),
+        puff("puff.time_course=file", f"puff.file={tmp_path / 'puff.csv'}"),
+        puff("puff.time_course=corvis"),
+    ]
     t = np.random.default_rng(0).uniform(0.0, 0.032, (len(loads), 40))
     for chosen in (loads, loads[:1], loads[3:4], [loads[0], loads[2]]):
-        together = Puffs(chosen).pressure_at_apex(t[:len(chosen)])
+        together = Puffs(chosen).pressure_at_apex(t[: len(chosen)])
         np.testing.assert_array_equal(together, [load.pressure_at_apex(at) for load, at in zip(chosen, t)])

@@ -1,4 +1,5 @@
 """The meridional section against quadrature and against its own outline."""
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -15,8 +16,16 @@ def section(radius=7.8, limbus=5.8, extra=0.0, lens=(0.0, 0.0)):
     return Section(radius * MM, limbus * MM, (cap + extra) * MM, lens[0] * MM, lens[1] * MM)
 
 
-SECTIONS = [section(), section(extra=1.3), section(extra=0.02), section(extra=0.6, lens=(10.0, 0.6)),
-            section(lens=(12.0, 0.9)), section(6.0, 5.0, 0.4), section(9.5, 5.5), section(7.2, 6.1, 2.0, (6.0, 1.5))]
+SECTIONS = [
+    section(),
+    section(extra=1.3),
+    section(extra=0.02),
+    section(extra=0.6, lens=(10.0, 0.6)),
+    section(lens=(12.0, 0.9)),
+    section(6.0, 5.0, 0.4),
+    section(9.5, 5.5),
+    section(7.2, 6.1, 2.0, (6.0, 1.5)),
+]
 
 
 def outline(a, step):
@@ -39,8 +48,12 @@ def outline(a, step):
 def test_volume_agrees_with_quadrature(a):
     def ring(r):
         return 2.0 * np.pi * r * float(a.cornea_height(r) - a.back_height(r))
-    volume = sum(quad(ring, *span, epsabs=0, epsrel=1e-10)[0]
-                 for span in ((0.0, a.lens_base_radius), (a.lens_base_radius, a.limbus_radius)) if span[0] < span[1])
+
+    volume = sum(
+        quad(ring, *span, epsabs=0, epsrel=1e-10)[0]
+        for span in ((0.0, a.lens_base_radius), (a.lens_base_radius, a.limbus_radius))
+        if span[0] < span[1]
+    )
     assert a.volume() == pytest.approx(volume, rel=1e-8)
 
 

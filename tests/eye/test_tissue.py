@@ -1,4 +1,5 @@
 """The corneal tissue against its own energy and against worked numbers."""
+
 import numpy as np
 import pytest
 
@@ -44,8 +45,9 @@ def test_no_coupling_at_zero_poisson_ratio_leaves_the_other_strain_in_the_expone
     assert s1 == pytest.approx(2 * A * S * 0.02 * np.exp(S * (0.02**2 + 0.05**2)), rel=1e-14)
 
 
-@pytest.mark.parametrize("iop_mmhg, prestrain", [
-    (10, 0.0301), (12.5, 0.0354), (15, 0.0400), (20, 0.0476), (25, 0.0536), (30, 0.0585)])
+@pytest.mark.parametrize(
+    "iop_mmhg, prestrain", [(10, 0.0301), (12.5, 0.0354), (15, 0.0400), (20, 0.0476), (25, 0.0536), (30, 0.0585)]
+)
 def test_prestrain_for_each_pressure(iop_mmhg, prestrain):
     assert load_scene(None, [f"eye.iop_mmhg={iop_mmhg}"]).cornea.prestrain == pytest.approx(prestrain, abs=5e-5)
 

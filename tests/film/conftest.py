@@ -1,10 +1,11 @@
 """Synthetic eyes for the renderer: fields filled from closed forms, no solver."""
+
 import numpy as np
 import pytest
-import taichi as ti
 
 from taichi_eye.backend import real
 from taichi_eye.film import FrameState
+from taichi_eye.lang import ti
 from taichi_eye.scene import load_scene
 
 WALL_COUNT, NODE_CAPACITY = 120, 64

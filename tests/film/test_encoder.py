@@ -1,4 +1,5 @@
 """Films, PNG sequences and GIFs read back from disk."""
+
 import imageio_ffmpeg
 import numpy as np
 import pytest

@@ -1,4 +1,6 @@
-"""Layers of the slit image: each switch, the plain view, thickness profile, specks, retreat, and what lies behind the cornea."""
+"""Layers of the slit image: each switch, the plain view, thickness profile, specks, retreat, and what lies behind the
+cornea."""
+
 import numpy as np
 import pytest
 
@@ -17,8 +19,10 @@ def frame(synthetic_eye, *overrides, dent=0.0, retreat_mm=0.0, time_ms=0.0):
 
 def test_each_layer_has_its_switch(synthetic_eye):
     whole = frame(synthetic_eye)
-    without = {name: frame(synthetic_eye, f"camera.{name}=false")
-               for name in ("epithelium", "stroma", "iris", "lens", "fall_off")}
+    without = {
+        name: frame(synthetic_eye, f"camera.{name}=false")
+        for name in ("epithelium", "stroma", "iris", "lens", "fall_off")
+    }
     assert whole[14:24, 288].max() - without["epithelium"][14:24, 288].max() > 15
     assert without["stroma"][30, 288] < 10 < whole[30, 288]
     assert without["iris"][170:, :30].max() < 10 < whole[170:, :30].max()
@@ -46,7 +50,7 @@ def test_rim_is_seen_thicker_where_the_scene_says_so(synthetic_eye):
         eye = synthetic_eye([*QUIET, *overrides])
         surface = Surface(eye.scene)
         surface.update(eye.state.wall, eye.state.wall_count)
-        rows = (surface.height.to_numpy()[:surface.columns] - surface.apparent.to_numpy()) / 0.0165e-3
+        rows = (surface.height.to_numpy()[: surface.columns] - surface.apparent.to_numpy()) / 0.0165e-3
         return np.interp([0.0, 4.5], np.arange(surface.columns) * surface.spacing * 1e3, rows)
 
     uniform, profile = thickness(), thickness("cornea.limbus_thickness_mm=0.67")

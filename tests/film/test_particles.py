@@ -1,4 +1,5 @@
 """The particle view: where discs stand, how values become colours, and the frames made of both views."""
+
 import matplotlib
 import numpy as np
 import pytest
@@ -32,12 +33,12 @@ def test_a_disc_stands_at_its_node_and_mirrored(eye, r, z):
     change = np.abs(disc_cover(eye, [[r, z]])).sum(axis=2)
     columns, rows = np.arange(at.width) + 0.5, np.arange(at.height) + 0.5
     right, left = change.copy(), change.copy()
-    right[:, :at.axis] = left[:, at.axis:] = 0.0
+    right[:, : at.axis] = left[:, at.axis :] = 0.0
     for side, sign in ((right, 1.0), (left, -1.0)):
         column, row = side.sum(axis=0) @ columns / side.sum(), side.sum(axis=1) @ rows / side.sum()
         assert column == pytest.approx(at.axis + sign * r * at.scale, abs=0.15)
         assert row == pytest.approx(at.limbus_row - z * at.scale, abs=0.15)
-    assert np.array_equal(change[:, at.axis:at.axis + at.half], change[:, at.axis - at.half:at.axis][:, ::-1])
+    assert np.array_equal(change[:, at.axis : at.axis + at.half], change[:, at.axis - at.half : at.axis][:, ::-1])
 
 
 @pytest.mark.parametrize("share", [0.0, 0.25, 0.6, 1.0])
@@ -71,7 +72,7 @@ def test_membrane_is_drawn_along_the_wall(eye):
     for r in (0.0, 1.2, 2.5, 4.0):
         column = int(at.axis + r * at.scale)
         bright = np.where(image[:, column, 0] > 30.0, image[:, column, 0], 0.0)
-        bright[int(at.limbus_row) - 5:] = 0.0
+        bright[int(at.limbus_row) - 5 :] = 0.0
         expected = at.limbus_row - profile((column + 0.5 - at.axis) / at.scale) * at.scale
         assert (bright @ rows) / bright.sum() == pytest.approx(expected, abs=0.2)
     eye.set_wall(eye.sphere())
@@ -83,7 +84,7 @@ def test_puff_follows_the_load(eye):
         eye.state.trace_time_ms, eye.state.trace_apex_mm = np.array([0.0, 1.0]), np.array([0.0, 0.0])
         eye.state.trace_puff_kpa = np.array([0.0, load])
         image = eye.view.render(eye.state).astype(float)
-        glow.append(image[10:40, at.axis - 4:at.axis + 4, 2].mean())
+        glow.append(image[10:40, at.axis - 4 : at.axis + 4, 2].mean())
     assert glow[1] - glow[0] == pytest.approx(glow[2] - glow[1], rel=0.05) and glow[1] > glow[0] + 20.0
     # a load whose centre is off the axis shows there
     eye.state.puff_radial = np.exp(-(((eye.r - 3.0) / 0.5) ** 2))
@@ -99,9 +100,9 @@ def test_trace_grows_to_the_present_value(eye):
     eye.state.trace_time_ms, eye.state.trace_apex_mm = time, 0.06 * time
     eye.state.trace_puff_kpa = 0.0 * time
     image = eye.view.render(eye.state).astype(int)
-    orange = (image[:, :, 0] - image[:, :, 2] > 80)[top:bottom + 1, left:right + 1]
+    orange = (image[:, :, 0] - image[:, :, 2] > 80)[top : bottom + 1, left : right + 1]
     head = 16.0 / ranges.time_ms * (right - left)
-    assert not orange[:, int(head) + 8:].any() and orange[:, :int(head)].any(axis=0).all()
+    assert not orange[:, int(head) + 8 :].any() and orange[:, : int(head)].any(axis=0).all()
     k = int(head / 2)
     value = 0.06 * k / (right - left) * ranges.time_ms
     share = (value - ranges.apex_low_mm) / (ranges.apex_high_mm - ranges.apex_low_mm)
@@ -109,8 +110,13 @@ def test_trace_grows_to_the_present_value(eye):
 
 
 def test_the_expected_peak_fits_the_axes(synthetic_eye):
-    for overrides, peak in (([], 0.959), (["eye.iop_mmhg=10"], 1.156), (["eye.iop_mmhg=30"], 0.579),
-                            (["puff.peak_kpa=5"], 0.581), (["puff.peak_kpa=15"], 1.172)):
+    for overrides, peak in (
+        ([], 0.959),
+        (["eye.iop_mmhg=10"], 1.156),
+        (["eye.iop_mmhg=30"], 0.579),
+        (["puff.peak_kpa=5"], 0.581),
+        (["puff.peak_kpa=15"], 1.172),
+    ):
         ranges = plot_ranges(synthetic_eye(overrides).scene)
         assert 1.05 * peak < ranges.apex_high_mm < 2.2 * peak
 
@@ -119,7 +125,7 @@ def test_liquid_stays_over_the_back(eye):
     at = eye.view.layout
     back = at.limbus_row - eye.back_z_mm * at.scale
     change = np.abs(disc_cover(eye, [[r, eye.back_z_mm] for r in (0.5, 2.0, 5.5)])).sum(axis=2)
-    assert change[:int(back)].any() and not change[int(back) + 2:].any()
+    assert change[: int(back)].any() and not change[int(back) + 2 :].any()
 
 
 def test_a_frame_keeps_nothing_of_the_one_before(eye):
@@ -133,8 +139,9 @@ def test_a_frame_keeps_nothing_of_the_one_before(eye):
     assert np.array_equal(eye.view.render(eye.state), first)
 
 
-@pytest.mark.parametrize("view, shape", [("scheimpflug", (200, 576)), ("particles", (320, 1152, 3)),
-                                         ("both", (720, 1152, 3))])
+@pytest.mark.parametrize(
+    "view, shape", [("scheimpflug", (200, 576)), ("particles", (320, 1152, 3)), ("both", (720, 1152, 3))]
+)
 def test_views_have_their_announced_shape(synthetic_eye, view, shape):
     eye = synthetic_eye([f"camera.view={view}"])
     film = FilmView(eye.scene)

@@ -1,4 +1,5 @@
 """The Scheimpflug frame against the geometry, the grey levels and the noise law that it is to have."""
+
 import subprocess
 import sys
 
@@ -86,8 +87,8 @@ def test_grey_levels_and_widths_of_the_instrument(clean):
     for off_mm, low, high in ((2.0, 38, 45), (4.0, 30, 34)):
         column = 288 + round(off_mm / 0.015625)
         top = rows(clean, clean.sphere()(off_mm))
-        assert low <= image[round(top + 7):round(top + 16), column].mean() <= high
-    assert 20 <= image[140:, :40].max() <= 90                  # iris
+        assert low <= image[round(top + 7) : round(top + 16), column].mean() <= high
+    assert 20 <= image[140:, :40].max() <= 90  # iris
     rise = crossing(centre, 0.9 * 85.0, 0, 30) - crossing(centre, 6.5 + 0.1 * 79.0, 0, 30)
     assert rise == pytest.approx(5.0, abs=1.0)
     fall = crossing(centre, 7.4 + 0.1 * 38.6, 25, 60) - crossing(centre, 7.4 + 0.9 * 38.6, 27, 60)

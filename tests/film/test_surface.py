@@ -1,4 +1,5 @@
 """Resampling of the wall and refraction at it, against closed forms and an independent ray tracer."""
+
 from math import asin, radians, sin, tan
 
 import numpy as np
@@ -26,7 +27,7 @@ def updated(eye, height_mm):
 def apparent_thickness(eye, height_mm, x):
     surface = updated(eye, height_mm)
     radii = np.arange(surface.columns) * surface.spacing * 1e3
-    height = surface.height.to_numpy()[:surface.columns]
+    height = surface.height.to_numpy()[: surface.columns]
     return np.interp(x, radii, (height - surface.apparent.to_numpy()) * 1e3)
 
 

@@ -1,4 +1,5 @@
 """Charts: what is worked out from points, and that they can be interrupted and resumed."""
+
 import json
 
 import numpy as np
@@ -17,7 +18,7 @@ def made(setting, seconds=1.0, by_space=0.02, by_sound=10.0, model=0.0):
     """A point whose peak is off by `by_space` h^2, `by_sound` / c^2 and `model`."""
     c = setting.sound_speed_m_s
     peak = 1.0 + by_space * setting.spacing_mm**2 + (by_sound / c**2 if c else 0.0) + model
-    hump = np.exp(-((TIME - 15.0) / 5.0) ** 2)
+    hump = np.exp(-(((TIME - 15.0) / 5.0) ** 2))
     traces = {"time_ms": TIME, "apex_displacement_mm": peak * hump, "fluid_pressure_apex_kpa": 2.0 + peak * hump}
     return Point(setting, traces, seconds, 0.9 * seconds, 3, int(13.0 / setting.spacing_mm**2), 1000)
 
@@ -42,8 +43,11 @@ def test_a_chart_knows_its_front_orders_and_recommendations(scene):
     line = [Setting("mfpm", h, c) for h in (0.4, 0.2828, 0.2, 0.1414) for c in (40.0, 80.0)]
     line += [Setting("mfpm", 0.2, c) for c in (10.0, 20.0, 160.0)]
     points = {s.label: made(s, seconds=1e-4 * s.sound_speed_m_s / s.spacing_mm**3) for s in line}
-    for setting, model, seconds in ((Setting("cavity", 0.2), -0.02, 0.01), (Setting("cavity", 0.1), -0.02, 0.03),
-                                    (Setting("membrane", 0.2), 0.5, 0.02)):
+    for setting, model, seconds in (
+        (Setting("cavity", 0.2), -0.02, 0.01),
+        (Setting("cavity", 0.1), -0.02, 0.03),
+        (Setting("membrane", 0.2), 0.5, 0.02),
+    ):
         points[setting.label] = made(setting, seconds, model=model)
     charted = chart.Chart(scene, points)
     exponents = charted.exponents()
@@ -113,8 +117,14 @@ def test_a_budget_passes_over_what_it_does_not_pay_for(tmp_path, scene, monkeypa
     assert any("No reference" in line for line in chart_page.words(charted))
 
 
-@pytest.mark.parametrize("arguments, said", [
-    (("--resume", "nowhere"), "chart.json"), (("--budget", "0"), "not a positive"), (("--resume", "x", "--out", "y"), "leave --out")])
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (("--resume", "nowhere"), "chart.json"),
+        (("--budget", "0"), "not a positive"),
+        (("--resume", "x", "--out", "y"), "leave --out"),
+    ],
+)
 def test_bad_input_is_refused(tmp_path, monkeypatch, capsys, arguments, said):
     monkeypatch.chdir(tmp_path)
     try:

@@ -1,4 +1,5 @@
 """What auto picks, and why."""
+
 import numpy as np
 import pytest
 
@@ -67,8 +68,13 @@ def test_viscosity_asks_for_the_resolved_liquid():
     assert choice.scene.numerics.fidelity == "mfpm" and "viscosity" in choice.reason
 
 
-@pytest.mark.parametrize("overrides", [("chamber.sealed=false", "puff.peak_kpa=10"),
-                                       ("cornea.prestrain=0.002", "cornea.exponent_k=86.1", "puff.peak_kpa=15")])
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ("chamber.sealed=false", "puff.peak_kpa=10"),
+        ("cornea.prestrain=0.002", "cornea.exponent_k=86.1", "puff.peak_kpa=15"),
+    ],
+)
 def test_rungs_that_leave_their_validity_are_refused(overrides):
     choice = auto(10, *overrides)
     assert "cavity" in choice.refused and choice.scene.numerics.fidelity == "mfpm"
@@ -78,8 +84,11 @@ def test_rungs_that_leave_their_validity_are_refused(overrides):
 def test_viscous_share_goes_with_the_viscosity():
     shares = []
     for viscosity in (0.8, 8.0):
-        run = simulation_of(load_scene(None, ('numerics.fidelity="cavity"', "numerics.spacing_mm=0.4",
-                                              f"aqueous.viscosity_mpa_s={viscosity}")))
+        run = simulation_of(
+            load_scene(
+                None, ('numerics.fidelity="cavity"', "numerics.spacing_mm=0.4", f"aqueous.viscosity_mpa_s={viscosity}")
+            )
+        )
         run.run()
         shares.append(viscous_share(run))
     assert shares[1] == pytest.approx(10.0 * shares[0], rel=1e-6) and 0.0 < shares[0] < 0.1

@@ -1,4 +1,5 @@
 """Misfits of histories that differ in a known way."""
+
 import numpy as np
 import pytest
 
@@ -8,7 +9,7 @@ TIME = np.linspace(0.0, 32.0, 1281)
 
 
 def history(peak=1.0, shift=0.0, pressure=1.0):
-    hump = np.exp(-((TIME - 15.0 - shift) / 5.0) ** 2)
+    hump = np.exp(-(((TIME - 15.0 - shift) / 5.0) ** 2))
     return {"time_ms": TIME, "apex_displacement_mm": peak * hump, "fluid_pressure_apex_kpa": 2.0 + pressure * hump}
 
 

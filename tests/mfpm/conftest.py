@@ -1,11 +1,12 @@
 """MFPM operators over clouds of any size, one set of fields and kernels per basis."""
+
 import numpy as np
 import pytest
-import taichi as ti
 
 from taichi_eye.backend import real
 from taichi_eye.cloud.packing import pack
 from taichi_eye.eye.section import Section
+from taichi_eye.lang import ti
 from taichi_eye.mfpm.neighbours import NeighbourLists
 from taichi_eye.mfpm.operators import CONDITION_LIMIT, SEARCH_RADIUS, STENCIL, WIDTH, MfpmOperators
 
@@ -25,7 +26,7 @@ class Bench:
 
     def put(self, field, values):
         whole = np.full((CAPACITY, *values.shape[1:]), np.nan)
-        whole[:self.count] = values
+        whole[: self.count] = values
         field.from_numpy(whole)
 
     def build(self, points, spacing):
@@ -44,27 +45,27 @@ class Bench:
 
     @property
     def condition(self):
-        return self.operators.condition.to_numpy()[:self.count]
+        return self.operators.condition.to_numpy()[: self.count]
 
     def gradient(self, f):
         self.put(self.scalar, f)
         self.operators.gradient(self.scalar, self.vector_out)
-        return self.vector_out.to_numpy()[:self.count]
+        return self.vector_out.to_numpy()[: self.count]
 
     def laplacian(self, f):
         self.put(self.scalar, f)
         self.operators.laplacian(self.scalar, self.scalar_out)
-        return self.scalar_out.to_numpy()[:self.count]
+        return self.scalar_out.to_numpy()[: self.count]
 
     def divergence(self, u):
         self.put(self.vector, u)
         self.operators.divergence(self.points, self.vector, self.scalar_out)
-        return self.scalar_out.to_numpy()[:self.count]
+        return self.scalar_out.to_numpy()[: self.count]
 
     def velocity_laplacian(self, u):
         self.put(self.vector, u)
         self.operators.velocity_laplacian(self.points, self.vector, self.vector_out)
-        return self.vector_out.to_numpy()[:self.count]
+        return self.vector_out.to_numpy()[: self.count]
 
 
 @pytest.fixture(scope="session")
@@ -88,4 +89,5 @@ def cloud_at():
             cap = Section(radius, EYE[1], 0.0).apex_z
             kept[key] = pack(Section(radius, EYE[1], depth or cap, *lens), spacing_mm * 1e-3)
         return kept[key]
+
     return cloud

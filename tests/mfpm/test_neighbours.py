@@ -1,9 +1,10 @@
 """Neighbour lists against brute force."""
+
 import numpy as np
 import pytest
-import taichi as ti
 
 from taichi_eye.backend import real
+from taichi_eye.lang import ti
 from taichi_eye.mfpm.neighbours import SAME_DISTANCE, NeighbourLists
 
 CAPACITY, WIDTH = 500, 60
@@ -20,10 +21,10 @@ class Lists:
 
     def search(self, points, radius):
         whole = np.full((CAPACITY, 2), np.nan)
-        whole[:len(points)] = points
+        whole[: len(points)] = points
         self.points.from_numpy(whole)
         self.lists.search(self.points, len(points), radius)
-        found = self.lists.found.to_numpy()[:len(points)]
+        found = self.lists.found.to_numpy()[: len(points)]
         entry, distance2 = self.lists.entry.to_numpy(), self.lists.distance2.to_numpy()
         return [entry[i, :n] for i, n in enumerate(found)], [distance2[i, :n] for i, n in enumerate(found)]
 
@@ -34,7 +35,7 @@ class Lists:
 
     def with_ties(self, wanted):
         self._take(wanted)
-        return self.taken.to_numpy()[:self.lists.count[0]]
+        return self.taken.to_numpy()[: self.lists.count[0]]
 
 
 @pytest.fixture(scope="module")
@@ -61,9 +62,17 @@ def scattered(seed, count, width, height, clumped):
 
 
 @pytest.mark.parametrize("clumped", [False, True])
-@pytest.mark.parametrize("seed, count, width, height", [
-    (0, 200, 1.0, 1.0), (1, 500, 6e-3, 2.5e-3), (2, 120, 1.0, 40.0), (3, 60, 5.0, 1e-3), (4, 2, 1.0, 1.0),
-    (5, 1, 1.0, 1.0)])
+@pytest.mark.parametrize(
+    "seed, count, width, height",
+    [
+        (0, 200, 1.0, 1.0),
+        (1, 500, 6e-3, 2.5e-3),
+        (2, 120, 1.0, 40.0),
+        (3, 60, 5.0, 1e-3),
+        (4, 2, 1.0, 1.0),
+        (5, 1, 1.0, 1.0),
+    ],
+)
 def test_lists_hold_all_and_only_what_is_within_the_radius_nearest_first(lists, seed, count, width, height, clumped):
     points = scattered(seed, count, width, height, clumped)
     far = np.sort(np.concatenate([everyone_around(points, i)[1] for i in range(count)]))

@@ -1,4 +1,5 @@
 """MFPM operators: what they must reproduce to rounding, and how fast they converge on the rest."""
+
 import os
 import subprocess
 import sys
@@ -13,8 +14,12 @@ from taichi_eye.mfpm.operators import CONDITION_LIMIT
 
 ROUNDING = 1e-9  # times the largest value over the spacing to the order of the derivative
 LENGTH = 3e-3
-SECTIONS = {"flat back": {}, "flat cornea": {"radius": 9.5e-3}, "side wall": {"depth": 4e-3},
-            "lens": {"depth": 3.2e-3, "lens": (10e-3, 0.6e-3)}}
+SECTIONS = {
+    "flat back": {},
+    "flat cornea": {"radius": 9.5e-3},
+    "side wall": {"depth": 4e-3},
+    "lens": {"depth": 3.2e-3, "lens": (10e-3, 0.6e-3)},
+}
 
 
 def jittered(cloud, share, seed):
@@ -65,8 +70,9 @@ def assert_reproduced(bench, points, spacing, seed):
     u = np.column_stack([u_r, f])
     scale = np.abs(u).max()
     np.testing.assert_allclose(bench.divergence(u), ring + slope[:, 1], rtol=0, atol=ROUNDING * scale / spacing)
-    np.testing.assert_allclose(bench.velocity_laplacian(u), np.column_stack([curl_part, laplacian]), rtol=0,
-                               atol=ROUNDING * scale / spacing**2)
+    np.testing.assert_allclose(
+        bench.velocity_laplacian(u), np.column_stack([curl_part, laplacian]), rtol=0, atol=ROUNDING * scale / spacing**2
+    )
 
 
 @pytest.fixture(params=["quadratic", "cubic"])
@@ -113,8 +119,14 @@ def wave(points, k, m, phase):
     c, s = np.cos(m * z + phase), np.sin(m * z + phase)
     f = j0(k * r) * c
     u = np.column_stack([j1(k * r) * s, f])
-    return (f, np.column_stack([-k * j1(k * r) * c, -m * j0(k * r) * s]), -(k * k + m * m) * f, u,
-            (k - m) * j0(k * r) * s, -(k * k + m * m) * u)
+    return (
+        f,
+        np.column_stack([-k * j1(k * r) * c, -m * j0(k * r) * s]),
+        -(k * k + m * m) * f,
+        u,
+        (k - m) * j0(k * r) * s,
+        -(k * k + m * m) * u,
+    )
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.12])
@@ -132,9 +144,15 @@ def test_operators_converge_at_the_order_of_their_basis(request, cloud_at, name,
         bench.build(points, cloud.spacing)
         for n, (k, m, phase) in enumerate(waves):
             f, slope, laplacian, u, divergence, vector_laplacian = wave(points, k, m, phase)
-            errors[h, n] = [np.abs(got - exact).max() for got, exact in (
-                (bench.gradient(f), slope), (bench.divergence(u), divergence), (bench.laplacian(f), laplacian),
-                (bench.velocity_laplacian(u), vector_laplacian))]
+            errors[h, n] = [
+                np.abs(got - exact).max()
+                for got, exact in (
+                    (bench.gradient(f), slope),
+                    (bench.divergence(u), divergence),
+                    (bench.laplacian(f), laplacian),
+                    (bench.velocity_laplacian(u), vector_laplacian),
+                )
+            ]
     order = np.polyfit(np.log(spacings), np.log(errors).mean(1), 1)[0]
     assert np.all(order[:2] > first), order
     assert np.all(order[2:] > second), order

@@ -1,4 +1,5 @@
 """The measures on histories with known delay and asymmetry, the open chamber, and the command on invented runs."""
+
 import json
 import math
 
@@ -7,7 +8,7 @@ import pytest
 
 from taichi_eye import backend, cli
 from taichi_eye.errors import RunStopped
-from taichi_eye.proof import claims, claims_page
+from taichi_eye.proof import claims
 from taichi_eye.proof.claims import Case, Outcome, Results, delays, quasi_static
 from taichi_eye.proof.measures import lag_of_best_match, measure
 from taichi_eye.scene import load_scene
@@ -22,6 +23,7 @@ def gaussian(centre, width=4.0, late_width=None):
 
 
 # --- measures -------------------------------------------------------------------------------------------------------
+
 
 def test_a_shift_is_found_by_every_measure():
     for name, delay in delays(TIME, 0.7 * gaussian(15.337, 5.0), gaussian(15.0)).items():
@@ -49,13 +51,13 @@ def test_two_half_gaussians():
 
 def test_first_order_lag_delays_the_centroid_by_its_time_constant():
     tau, kernel = 0.4, np.exp(-TIME / 0.4)
-    lagged = np.convolve(gaussian(15.0, 3.0), kernel / kernel.sum())[:len(TIME)]
+    lagged = np.convolve(gaussian(15.0, 3.0), kernel / kernel.sum())[: len(TIME)]
     assert lag_of_best_match(TIME, lagged, gaussian(15.0, 3.0)) == pytest.approx(tau, abs=0.03)
 
 
 def test_flat_top_does_not_disturb_the_time_of_the_peak():
     rng = np.random.default_rng(3)
-    flat = np.exp(-((TIME - 15.0) / 5.0) ** 4) + 1e-3 * rng.standard_normal(len(TIME))
+    flat = np.exp(-(((TIME - 15.0) / 5.0) ** 4)) + 1e-3 * rng.standard_normal(len(TIME))
     assert measure(TIME, flat).peak_time_ms == pytest.approx(15.0, abs=0.15)
 
 
@@ -74,6 +76,7 @@ def test_quasi_static_answer_removes_a_delay():
 
 
 # --- open chamber ---------------------------------------------------------------------------------------------------
+
 
 def simulate(*overrides):
     simulation = Simulation(load_scene(None, ("numerics.spacing_mm=0.4", "numerics.sound_speed_m_s=60", *overrides)))
@@ -109,6 +112,7 @@ def test_open_chamber_under_the_full_puff_hits_the_back():
 
 # --- the study ------------------------------------------------------------------------------------------------------
 
+
 def test_lighter_fluid_keeps_the_acoustic_stiffness():
     for case in claims.cases():
         scene = load_scene(None, (f"numerics.sound_speed_m_s={claims.C_BASE}", *case.overrides))
@@ -119,6 +123,7 @@ def test_lighter_fluid_keeps_the_acoustic_stiffness():
 
 def test_stiffness_cases_change_the_tangent_by_what_they_say():
     from taichi_eye.eye.tissue import biaxial_tangent
+
     tangent = lambda c: biaxial_tangent(c.stiffness_a_pa, c.exponent_k, c.prestrain)
     rest = tangent(load_scene().cornea)
     for case in claims.cases():

@@ -1,4 +1,5 @@
 """The clinic's tables: which switches a scene sets, z-scores, slopes, and a response read from a computed wall."""
+
 from pathlib import Path
 
 import numpy as np
@@ -40,8 +41,10 @@ def test_slopes_are_those_of_a_line_and_leave_stopped_runs_out():
     assert dcr.slope(steps, line, "peak_distance_mm") == pytest.approx(-0.094)
     line[0] = dcr.Outcome(Response())
     assert np.isnan(dcr.slope(steps, line, "peak_distance_mm"))
-    head, body = dcr.slope_table([dcr.Outcome(Response(deformation_amplitude_mm=1.0 - 0.031 * step))
-                                  for step in dcr.IOP_STEPS_MMHG], [dcr.Outcome(Response())] * 5)
+    head, body = dcr.slope_table(
+        [dcr.Outcome(Response(deformation_amplitude_mm=1.0 - 0.031 * step)) for step in dcr.IOP_STEPS_MMHG],
+        [dcr.Outcome(Response())] * 5,
+    )
     first = dict(zip(head, body[0]))
     assert body[0][:5] == ["DA mm", "-0.0310", "-0.031", "1.00", "yes"] and first["holds"] == "NO"
 

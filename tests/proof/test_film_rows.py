@@ -1,4 +1,5 @@
 """What `taichi-eye films` measures with: eyes in closed form, harms done to films, rows; and the frame's own rows."""
+
 import numpy as np
 import pytest
 
@@ -12,7 +13,10 @@ from taichi_eye.scene import load_scene
 def test_a_figure_lies_within_its_range_give_or_take_the_slack():
     assert within("n", 4.0, "px", 5.0, 6.0, 1.0).holds and not within("n", 3.9, "px", 5.0, 6.0, 1.0).holds
     assert not within("n", float("nan"), "px", 5.0, 6.0, 1.0).holds
-    assert within("n", 5.0, "px", 5.0, 5.0, 0.0).asked == "5" and within("n", 5.0, "px", 5.0, 6.0, 1.0).asked == "5 to 6 +- 1"
+    assert (
+        within("n", 5.0, "px", 5.0, 5.0, 0.0).asked == "5"
+        and within("n", 5.0, "px", 5.0, 6.0, 1.0).asked == "5 to 6 +- 1"
+    )
 
 
 @pytest.mark.parametrize("eye", EYES, ids=lambda eye: eye.name)
@@ -40,7 +44,7 @@ def test_truth_and_rows_hold_dent_and_retreat():
 def test_a_turned_film_shows_a_line_under_the_angle_in_millimetres():
     frames = np.zeros((1, 200, 576), np.uint8)
     frames[0, 98:102] = 200
-    image = np.maximum(damaged.turned(frames, 5.0)[0].astype(float) - 50.0, 0.0)     # without the filling
+    image = np.maximum(damaged.turned(frames, 5.0)[0].astype(float) - 50.0, 0.0)  # without the filling
     columns = np.array([100, 470])
     rows = np.array([np.arange(200) @ image[:, k] / image[:, k].sum() for k in columns])
     slope = np.diff(rows)[0] * 0.0165 / (np.diff(columns)[0] * 0.015625)
@@ -57,8 +61,10 @@ def test_harms_do_what_they_say():
 
 
 def test_differences_and_the_worst_film():
-    read, true = Response(hc_radius_mm=7.2, deformation_amplitude_mm=1.01), Response(hc_radius_mm=7.5,
-                                                                                    deformation_amplitude_mm=1.0)
+    read, true = (
+        Response(hc_radius_mm=7.2, deformation_amplitude_mm=1.01),
+        Response(hc_radius_mm=7.5, deformation_amplitude_mm=1.0),
+    )
     assert reading.difference(read, true, "hc_radius_mm", "%") == pytest.approx(4.0)
     assert reading.difference(read, true, "deformation_amplitude_mm", "um") == pytest.approx(10.0)
     assert reading.difference(Response(), true, "hc_radius_mm", "%") == float("inf")

@@ -1,4 +1,5 @@
 """Cheap problems of the verification, the exact answers they rest on, and the spectra's own arithmetic."""
+
 import json
 
 import numpy as np
@@ -26,14 +27,23 @@ def test_order_of_a_power_law():
     assert rows.order(sizes, 3.0 * sizes**1.7) == pytest.approx(1.7)
 
 
-@pytest.mark.parametrize("speed, known", [(10.0, (257.6008, 503.5342, 697.340)), (30.0, (265.5412, 524.7111, 796.995)),
-                                          (100.0, (266.4176, 526.4479, 799.7255)), (1e5, (266.5039, 526.6147, 799.975))])
+@pytest.mark.parametrize(
+    "speed, known",
+    [
+        (10.0, (257.6008, 503.5342, 697.340)),
+        (30.0, (265.5412, 524.7111, 796.995)),
+        (100.0, (266.4176, 526.4479, 799.7255)),
+        (1e5, (266.5039, 526.6147, 799.975)),
+    ],
+)
 def test_cylinder_frequencies_of_the_characteristic_equation(speed, known):
     assert waves.cylinder_frequencies(speed) == pytest.approx(known, rel=2e-6)
 
 
-@pytest.mark.parametrize("alpha, r, at_0, at_quarter", [(1.0, 0.0, 0.241994, 0.045486), (5.0, 0.5, 0.009400, 0.042393),
-                                                        (10.0, 0.9, 0.003384, 0.006049)])
+@pytest.mark.parametrize(
+    "alpha, r, at_0, at_quarter",
+    [(1.0, 0.0, 0.241994, 0.045486), (5.0, 0.5, 0.009400, 0.042393), (10.0, 0.9, 0.003384, 0.006049)],
+)
 def test_womersley_profile(alpha, r, at_0, at_quarter):
     quarter = 0.5 * np.pi / alpha**2
     assert viscous.womersley_profile(r, 0.0, alpha) == pytest.approx(at_0, abs=1e-6)
@@ -74,8 +84,17 @@ def test_the_eye_at_rest_is_stable_with_the_default_dissipation_and_not_without(
     system = spectrum.CoupledSystem(cloud.count, cloud.wall_count)
     rates = {}
     for alpha in (0.0, 0.5):
-        system.setup(cloud, thickness=0.55e-3, wall_density=1050.0, material=(1562.0, 86.1 / 1.49, 0.49, 0.04), iop=2000.0,
-                     density=1000.0, viscosity=0.0, sound_speed=80.0, dissipation=alpha)
+        system.setup(
+            cloud,
+            thickness=0.55e-3,
+            wall_density=1050.0,
+            material=(1562.0, 86.1 / 1.49, 0.49, 0.04),
+            iop=2000.0,
+            density=1000.0,
+            viscosity=0.0,
+            sound_speed=80.0,
+            dissipation=alpha,
+        )
         dt = 0.05 * cloud.spacing / 80.0
         rates[alpha] = spectrum.growth(spectrum.step_matrix(system, dt), dt) * cloud.spacing / 80.0
     assert rates[0.5] < 1e-4

@@ -1,4 +1,6 @@
-"""Stability maps: scenes set beyond their limits, causes read off stops, predictions exact where they can be, the page."""
+"""Stability maps: scenes set beyond their limits, causes read off stops, predictions exact where they can be, the
+page."""
+
 import json
 
 import numpy as np

@@ -1,4 +1,5 @@
 """Measured histories: reading, refusing, comparing."""
+
 import numpy as np
 import pytest
 
@@ -22,23 +23,28 @@ def test_reads_deflections_and_displacements(tmp_path):
 
 def test_traces_of_another_run_will_do(tmp_path):
     t = np.linspace(0, 32, 65)
-    write_traces(tmp_path / "traces.csv",
-                 {name: np.zeros(65) for name in COLUMNS} | {"time_ms": t, "apex_displacement_mm": hump(t)})
+    write_traces(
+        tmp_path / "traces.csv",
+        {name: np.zeros(65) for name in COLUMNS} | {"time_ms": t, "apex_displacement_mm": hump(t)},
+    )
     measured = read_measured(tmp_path / "traces.csv")
     assert measured.column == "apex_displacement_mm"
     np.testing.assert_array_equal(measured.displacement_mm, hump(t))
 
 
-@pytest.mark.parametrize("content, part", [
-    ("", "is empty"),
-    ("time_ms,apex\n0,0\n1,1\n", "time_ms and apex_displacement_mm or deflection_mm"),
-    ("deflection_mm,apex_displacement_mm\n0,0\n1,1\n", "time_ms"),
-    ("time_ms,deflection_mm,apex_displacement_mm\n0,0,0\n1,1,1\n", "keep the one"),
-    ("time_ms,deflection_mm\n0,0\n1,one\n", 'line 3: deflection_mm = "one"'),
-    ("time_ms,deflection_mm\n0,0\n0,1\n", "line 3: time_ms = 0 does not increase"),
-    ("time_ms,deflection_mm\n0,0\n1,980\n", "reaches 980"),
-    ("time_ms,deflection_mm\n0,0\n1,-0.98\n", "positive"),
-])
+@pytest.mark.parametrize(
+    "content, part",
+    [
+        ("", "is empty"),
+        ("time_ms,apex\n0,0\n1,1\n", "time_ms and apex_displacement_mm or deflection_mm"),
+        ("deflection_mm,apex_displacement_mm\n0,0\n1,1\n", "time_ms"),
+        ("time_ms,deflection_mm,apex_displacement_mm\n0,0,0\n1,1,1\n", "keep the one"),
+        ("time_ms,deflection_mm\n0,0\n1,one\n", 'line 3: deflection_mm = "one"'),
+        ("time_ms,deflection_mm\n0,0\n0,1\n", "line 3: time_ms = 0 does not increase"),
+        ("time_ms,deflection_mm\n0,0\n1,980\n", "reaches 980"),
+        ("time_ms,deflection_mm\n0,0\n1,-0.98\n", "positive"),
+    ],
+)
 def test_bad_file_is_refused(tmp_path, content, part):
     path = tmp_path / "m.csv"
     path.write_text(content)

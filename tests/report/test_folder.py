@@ -1,4 +1,5 @@
 """Run folders and whole files."""
+
 import pytest
 
 from taichi_eye.errors import SceneError

@@ -1,4 +1,5 @@
 """Numbers of a history, on shapes whose numbers are known."""
+
 import numpy as np
 import pytest
 
@@ -8,7 +9,7 @@ from taichi_eye.report.history import summarise
 def test_triangle():
     t = np.arange(0, 40.5, 0.5)
     history = summarise(t, np.minimum(t / 10, (40 - t) / 30))
-    lift = history.peak - 1                        # of the parabola over the tip: less than half a step of the flanks
+    lift = history.peak - 1  # of the parabola over the tip: less than half a step of the flanks
     assert 0 < lift < 0.5 * 0.5 / 10
     assert (history.rise_time_ms, history.fall_time_ms) == pytest.approx((5 + 5 * lift, 25 - 15 * lift), rel=1e-12)
 

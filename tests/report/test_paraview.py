@@ -1,4 +1,5 @@
 """Files for ParaView."""
+
 import xml.etree.ElementTree as ET
 
 import meshio
@@ -12,8 +13,14 @@ WALL = np.array([[0.0, 1e-3], [0.5e-3, 0.9e-3], [1e-3, 0.5e-3]])
 
 
 def add(writer, time_ms):
-    writer.add_frame(time_ms, NODES, TRIANGLES, {"pressure_pa": NODES[:, 0] * time_ms, "velocity_m_s": NODES + time_ms},
-                     WALL, {"stress_kpa": WALL[:, 1].astype(np.float32)})
+    writer.add_frame(
+        time_ms,
+        NODES,
+        TRIANGLES,
+        {"pressure_pa": NODES[:, 0] * time_ms, "velocity_m_s": NODES + time_ms},
+        WALL,
+        {"stress_kpa": WALL[:, 1].astype(np.float32)},
+    )
 
 
 def entries(folder):
@@ -28,8 +35,10 @@ def test_collection_is_whole_after_every_frame(tmp_path):
         add(writer, time_ms)
         found = entries(tmp_path / "fields")
         assert len(found) == 2 * count
-        assert found[-2:] == [(time_ms, "0", "fluid", f"fluid-{count - 1:04d}.vtu"),
-                              (time_ms, "1", "membrane", f"membrane-{count - 1:04d}.vtu")]
+        assert found[-2:] == [
+            (time_ms, "0", "fluid", f"fluid-{count - 1:04d}.vtu"),
+            (time_ms, "1", "membrane", f"membrane-{count - 1:04d}.vtu"),
+        ]
         files = {entry.name for entry in (tmp_path / "fields").iterdir()}
         assert files == {"fields.pvd", *(name for *_, name in found)}
 

@@ -1,4 +1,5 @@
 """The plots, as pictures: size, and that what should be drawn is."""
+
 import imageio.v3 as iio
 import numpy as np
 import pytest
@@ -65,7 +66,7 @@ def test_sheet_shows_every_frame_pixel_by_pixel(tmp_path):
     for i, (_, image) in enumerate(frames):
         top, left = 36 + i // 2 * (200 + 36), 14 + i % 2 * (576 + 14)
         for channel in range(3):
-            np.testing.assert_array_equal(sheet[top:top + 200, left:left + 576, channel], image)
+            np.testing.assert_array_equal(sheet[top : top + 200, left : left + 576, channel], image)
 
 
 def test_sheet_of_square_colour_frames_has_three_columns(tmp_path):

@@ -1,4 +1,5 @@
 """traces.csv."""
+
 import numpy as np
 import pytest
 
@@ -31,10 +32,12 @@ def test_single_precision_is_kept(tmp_path):
 def test_header_and_counts_read_as_documented(tmp_path):
     write_traces(tmp_path / "traces.csv", {name: np.zeros(1) for name in COLUMNS} | {"coupling_iterations": [3]})
     header, row = (tmp_path / "traces.csv").read_text().splitlines()
-    assert header == ("time_ms,apex_displacement_mm,apex_velocity_m_s,puff_apex_kpa,fluid_pressure_apex_kpa,"
-                      "chamber_volume_error,puff_work_uj,cornea_elastic_uj,cornea_kinetic_uj,aqueous_kinetic_uj,"
-                      "aqueous_elastic_uj,viscous_loss_uj,numerical_loss_uj,outflow_loss_uj,tissue_loss_uj,energy_error_uj,"
-                      "coupling_iterations,coupling_residual,cornea_min_stress_kpa")
+    assert header == (
+        "time_ms,apex_displacement_mm,apex_velocity_m_s,puff_apex_kpa,fluid_pressure_apex_kpa,"
+        "chamber_volume_error,puff_work_uj,cornea_elastic_uj,cornea_kinetic_uj,aqueous_kinetic_uj,"
+        "aqueous_elastic_uj,viscous_loss_uj,numerical_loss_uj,outflow_loss_uj,tissue_loss_uj,energy_error_uj,"
+        "coupling_iterations,coupling_residual,cornea_min_stress_kpa"
+    )
     assert row.split(",")[16] == "3" and row.split(",")[0] == "0.0"
 
 

@@ -1,4 +1,5 @@
 """The errors and the conversion factors."""
+
 import pickle
 
 import pytest
@@ -12,7 +13,11 @@ def test_run_stopped_says_everything_and_survives_pickling():
     copy = pickle.loads(pickle.dumps(error))
     for each in (error, copy):
         assert (each.what, each.where, each.time_ms, each.advice) == (
-            "the wall went slack", "membrane node 3", 12.5, "lower puff.peak_kpa")
+            "the wall went slack",
+            "membrane node 3",
+            12.5,
+            "lower puff.peak_kpa",
+        )
         for part in ("the wall went slack", "membrane node 3", "12.5", "lower puff.peak_kpa"):
             assert part in str(each)
 

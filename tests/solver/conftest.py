@@ -1,4 +1,5 @@
 """Liquids, chambers and whole eyes that the tests of the solver share; compiling one takes seconds."""
+
 import pytest
 from eye_bench import run_eye
 from liquid_bench import Liquid
@@ -17,6 +18,7 @@ def liquid_of():
         if basis not in kept:
             kept[basis] = Liquid(basis)
         return kept[basis]
+
     return make
 
 
@@ -37,6 +39,7 @@ def chamber():
             cap = Section(radius_mm * MM, 5.8 * MM, 0.0).apex_z
             kept[key] = pack(Section(radius_mm * MM, 5.8 * MM, depth_mm * MM if depth_mm else cap), spacing_mm * MM)
         return kept[key]
+
     return cloud
 
 

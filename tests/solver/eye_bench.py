@@ -1,4 +1,5 @@
 """A coarse whole eye, run with the survey's figures kept."""
+
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -41,7 +42,8 @@ def run_eye(*overrides):
     run.steps, run.step_limit, run.rebuilds = simulation.steps, simulation.step_limit, simulation.rebuilds
     run.cloud, aqueous, cornea = simulation.cloud, simulation.aqueous, simulation.cornea
     run.places, run.velocities, run.pressures = (
-        f.to_numpy()[:run.cloud.count] for f in (aqueous.place, aqueous.velocity, aqueous.pressure))
-    run.wall = cornea.place.to_numpy()[:run.cloud.wall_count]
-    run.wall_velocity = simulation.coupling.wall_velocity.to_numpy()[:run.cloud.wall_count]
+        f.to_numpy()[: run.cloud.count] for f in (aqueous.place, aqueous.velocity, aqueous.pressure)
+    )
+    run.wall = cornea.place.to_numpy()[: run.cloud.wall_count]
+    run.wall_velocity = simulation.coupling.wall_velocity.to_numpy()[: run.cloud.wall_count]
     return run

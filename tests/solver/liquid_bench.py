@@ -1,8 +1,9 @@
 """The aqueous humour without a cornea: any cloud, any fields, one set of kernels per basis."""
+
 import numpy as np
-import taichi as ti
 
 from taichi_eye.backend import real
+from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.solver.aqueous import Aqueous
 
 CAPACITY, WALLS = 1400, 120
@@ -18,23 +19,22 @@ class Liquid:
         self.scalar, self.vector = ti.field(real(), CAPACITY), ti.Vector.field(2, real(), CAPACITY)
         self.number = ti.field(real(), 3)
 
-    def fill(self, cloud, density=1000.0, viscosity=0.8e-3, sound_speed=50.0, dissipation=0.0,
-             no_slip=False):
+    def fill(self, cloud, density=1000.0, viscosity=0.8e-3, sound_speed=50.0, dissipation=0.0, no_slip=False):
         """Fill a chamber, at rest, its wall where the cloud has it."""
         self.cloud, self.count, self.walls = cloud, cloud.count, cloud.wall_count
         self.aqueous.setup(cloud, density, viscosity, sound_speed, dissipation, no_slip)
         for field in (self.wall_rest, self.wall_place):
-            self.put(field, cloud.points[:self.walls])
+            self.put(field, cloud.points[: self.walls])
         self.wall_velocity.fill(0.0)
         return self
 
     def put(self, field, values):
         whole = np.zeros((*field.shape, *np.shape(values)[1:]))
-        whole[:len(values)] = values
+        whole[: len(values)] = values
         field.from_numpy(whole)
 
     def get(self, field):
-        return field.to_numpy()[:self.count]
+        return field.to_numpy()[: self.count]
 
     @property
     def places(self):
@@ -86,7 +86,7 @@ class Liquid:
         self.put(self.aqueous.velocity, kicked)
         self.put(self.wall_velocity, wall_velocity)
         self._meet()
-        return self.vector.to_numpy()[:self.walls]
+        return self.vector.to_numpy()[: self.walls]
 
     @ti.kernel
     def _rate(self):
@@ -112,7 +112,7 @@ class Liquid:
     @ti.kernel
     def _weigh(self, volume: float):
         ti.loop_config(serialize=True)
-        for once in range(1):
+        for _ in range(ONE_TASK):
             kinetic, elastic = self.aqueous.energies(0, volume)
             self.number[0], self.number[1] = kinetic, elastic
             self.aqueous.last_volume[0] = volume  # the chamber stands still

@@ -1,4 +1,5 @@
 """The liquid on moving nodes: an exact flow, its energies, its mass, its stabilisation and its node motion."""
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -32,7 +33,7 @@ class Squeeze:
 
     def pressure(self, points):
         r, z = points.T
-        return (self.p0 + self.density * (0.25 * r**2 * (self.push - 1.5 * self.speed**2) - 0.5 * z**2 * self.push))
+        return self.p0 + self.density * (0.25 * r**2 * (self.push - 1.5 * self.speed**2) - 0.5 * z**2 * self.push)
 
     def pressure_gradient(self, points):
         return self.density * points * (0.5 * (self.push - 1.5 * self.speed**2), -self.push)
@@ -48,18 +49,20 @@ def node_velocity(cloud, wall_velocity):
     return cloud.height_fraction[:, None] * ((1 - f) * wall_velocity[k] + f * wall_velocity[k + 1])
 
 
-@pytest.fixture(params=[(basis, shape, seed) for basis in BASES for shape in SHAPES for seed in range(2)],
-                ids=lambda case: f"{case[0]}, {case[1][0]} mm, R {case[1][1]} mm, H {case[2]}")
+@pytest.fixture(
+    params=[(basis, shape, seed) for basis in BASES for shape in SHAPES for seed in range(2)],
+    ids=lambda case: f"{case[0]}, {case[1][0]} mm, R {case[1][1]} mm, H {case[2]}",
+)
 def squeezed(request, liquid_of, chamber):
     """A liquid in the exact squeeze flow, its wall moved along with the flow since rest, nodes carried."""
     basis, shape, seed = request.param
     liquid, flow, cloud = liquid_of(basis), Squeeze(seed), chamber(*shape)
     # so stiff that the density does not answer the pressure
     liquid.fill(cloud, sound_speed=1e8)
-    liquid.carry(flow.place(cloud.points[:cloud.wall_count]))
+    liquid.carry(flow.place(cloud.points[: cloud.wall_count]))
     places = liquid.places
     liquid.set_fields(flow.pressure(places), flow.velocity(places))
-    liquid.put(liquid.wall_velocity, flow.velocity(places[:cloud.wall_count]))
+    liquid.put(liquid.wall_velocity, flow.velocity(places[: cloud.wall_count]))
     return liquid, flow, places
 
 
@@ -72,7 +75,7 @@ def test_momentum_of_the_squeeze_flow_is_exact_on_moving_nodes(squeezed):
     liquid, flow, places = squeezed
     dt = 1e-6
     change = (liquid.kick(dt) - flow.velocity(places)) / dt
-    carried = node_velocity(liquid.cloud, flow.velocity(places[:liquid.walls])) * (-0.5 * flow.speed, flow.speed)
+    carried = node_velocity(liquid.cloud, flow.velocity(places[: liquid.walls])) * (-0.5 * flow.speed, flow.speed)
     exact = flow.change_at_a_place(places) + carried
     fixed = liquid.cloud.kind == FIXED
     np.testing.assert_allclose(change[~fixed], exact[~fixed], rtol=0, atol=1e-7 * np.abs(exact).max())
@@ -82,7 +85,7 @@ def test_momentum_of_the_squeeze_flow_is_exact_on_moving_nodes(squeezed):
 def test_continuity_of_the_squeeze_flow_only_carries_pressure_past_moving_nodes(squeezed):
     liquid, flow, places = squeezed
     liquid.aqueous.sound_speed[0] = 30.0  # with rounding times rho c^2 of a real run
-    slip = flow.velocity(places) - node_velocity(liquid.cloud, flow.velocity(places[:liquid.walls]))
+    slip = flow.velocity(places) - node_velocity(liquid.cloud, flow.velocity(places[: liquid.walls]))
     exact = -(slip * flow.pressure_gradient(places)).sum(1)
     scale = np.abs(exact).max() + 1000.0 * 30.0**2 * abs(flow.speed)
     np.testing.assert_allclose(liquid.pressure_rate(), exact, rtol=0, atol=1e-8 * scale)
@@ -90,7 +93,7 @@ def test_continuity_of_the_squeeze_flow_only_carries_pressure_past_moving_nodes(
 
 def test_a_wall_that_moves_with_the_flow_leaves_it_alone(squeezed):
     liquid, flow, places = squeezed
-    wall = flow.velocity(places[:liquid.walls])
+    wall = flow.velocity(places[: liquid.walls])
     np.testing.assert_allclose(liquid.meet(flow.velocity(places), wall), wall, rtol=1e-12, atol=1e-12)
 
 
@@ -98,7 +101,7 @@ def test_a_wall_that_moves_with_the_flow_leaves_it_alone(squeezed):
 def test_slip_takes_the_normal_velocity_of_the_wall_and_no_other(liquid, chamber, seed):
     cloud, rng = chamber(), np.random.default_rng(seed)
     liquid.fill(cloud)
-    wall = cloud.points[:cloud.wall_count] + 0.02 * MM * rng.normal(size=(cloud.wall_count, 2))
+    wall = cloud.points[: cloud.wall_count] + 0.02 * MM * rng.normal(size=(cloud.wall_count, 2))
     liquid.carry(wall, rebuild=False)
     kicked, moving = rng.normal(size=(cloud.count, 2)), rng.normal(size=(cloud.wall_count, 2))
     met = liquid.meet(kicked, moving)
@@ -107,7 +110,7 @@ def test_slip_takes_the_normal_velocity_of_the_wall_and_no_other(liquid, chamber
     normal = along[:, ::-1] * (-1.0, 1.0)
     slipping = slice(1, cloud.wall_count - 1)
     np.testing.assert_allclose(((met - moving)[slipping] * normal).sum(1), 0.0, atol=1e-12)
-    np.testing.assert_allclose(((met - kicked[:cloud.wall_count])[slipping] * along).sum(1), 0.0, atol=1e-12)
+    np.testing.assert_allclose(((met - kicked[: cloud.wall_count])[slipping] * along).sum(1), 0.0, atol=1e-12)
     # the apex and the limbus go with the wall
     np.testing.assert_array_equal(met[[0, -1]], moving[[0, -1]])
 
@@ -206,7 +209,7 @@ def quadratic_fields(points, rng):
 def test_dissipation_leaves_quadratic_fields_alone(liquid_of, chamber, basis, depth_mm, seed):
     liquid, cloud, rng = liquid_of(basis), chamber(0.25, 7.8, depth_mm), np.random.default_rng(seed)
     liquid.fill(cloud)
-    wall = cloud.points[:cloud.wall_count].copy()
+    wall = cloud.points[: cloud.wall_count].copy()
     wall[:, 1] -= 0.5 * seed * MM * np.exp(-((wall[:, 0] / (1.8 * MM)) ** 2))
     liquid.carry(wall)
     pressure, velocity = quadratic_fields(liquid.places, rng)
@@ -248,7 +251,7 @@ def test_dissipation_of_smooth_fields_falls_as_the_cube_of_the_spacing(liquid, c
 
 def dent(cloud, depth_mm):
     """A dimple as deep as a puff makes it, with the bulge around it, and some motion inwards along the wall."""
-    wall = cloud.points[:cloud.wall_count]
+    wall = cloud.points[: cloud.wall_count]
     x = wall[:, 0] / (cloud.section.limbus_radius)
     down = np.exp(-((wall[:, 0] / (1.9 * MM)) ** 2)) - 0.12 * (x * (1.0 - x)) ** 2 * 16.0
     shift = depth_mm * MM * np.column_stack([-0.05 * np.sin(np.pi * x), -down * (1.0 - x**4)])
@@ -272,13 +275,13 @@ def test_nodes_follow_the_cornea_into_a_deep_dent_and_back(liquid, chamber, spac
         wall = dent(cloud, depth)
         liquid.carry(wall)
         now = liquid.places
-        np.testing.assert_allclose(now[:cloud.wall_count], wall, rtol=0, atol=1e-15)
+        np.testing.assert_allclose(now[: cloud.wall_count], wall, rtol=0, atol=1e-15)
         np.testing.assert_array_equal(now[back], rest[back])
         assert not now[rest[:, 0] == 0.0, 0].any()
         assert (areas(now) / areas(rest)).min() > 0.3
         assert measure(cloud, now).smallest_gap > 0.3
         assert liquid.get(liquid.aqueous.operators.condition).max() < 2e5
-    liquid.carry(cloud.points[:cloud.wall_count])
+    liquid.carry(cloud.points[: cloud.wall_count])
     assert liquid.places.tobytes() == rest.tobytes()
 
 
@@ -290,6 +293,6 @@ def test_weights_come_back_bit_for_bit_with_the_nodes(liquid, chamber):
     before = [field.to_numpy() for field in weights]
     liquid.carry(dent(cloud, 1.0))
     assert np.abs(weights[0].to_numpy() - before[0]).max() > 0.0
-    liquid.carry(cloud.points[:cloud.wall_count])
+    liquid.carry(cloud.points[: cloud.wall_count])
     for field, old in zip(weights, before):
-        np.testing.assert_array_equal(field.to_numpy()[:cloud.count], old[:cloud.count])
+        np.testing.assert_array_equal(field.to_numpy()[: cloud.count], old[: cloud.count])

@@ -1,4 +1,5 @@
 """Many eyes at once: each as if it were alone."""
+
 import json
 import subprocess
 import sys
@@ -18,15 +19,46 @@ BASE = "numerics.spacing_mm=0.35", "numerics.sound_speed_m_s=40", "puff.duration
 # node counts, shapes, walls, liquids, loads, clocks and ways of coupling: nothing alike
 EYES = [
     ("numerics.duration_ms=4",),
-    ("numerics.duration_ms=3", "eye.iop_mmhg=25", "cornea.thickness_mm=0.65", "puff.peak_kpa=14", "puff.time_course=corvis"),
-    ("numerics.duration_ms=3.5", "numerics.spacing_mm=0.25", "cornea.radius_mm=7.1", "cornea.limbus_radius_mm=5.4",
-     "cornea.density_kg_m3=1200", "numerics.cfl=0.5"),
-    ("numerics.duration_ms=2", "chamber.depth_mm=3.4", "chamber.lens_radius_mm=10", "chamber.lens_height_mm=0.6",
-     "aqueous.viscosity_mpa_s=5", "numerics.sound_speed_m_s=25", "numerics.coupling=loose"),
-    ("numerics.duration_ms=3", "chamber.sealed=false", "puff.peak_kpa=3", "aqueous.density_kg_m3=1030",
-     "camera.frame_interval_ms=0.3"),
-    ("numerics.duration_ms=3", "cornea.flexural_modulus_mpa=0.3", "chamber.compliance_mm3_mmhg=1", "numerics.dissipation=0.7",
-     "numerics.wall_condition=no_slip", "numerics.relaxation=fixed", "puff.radial_profile=gaussian"),
+    (
+        "numerics.duration_ms=3",
+        "eye.iop_mmhg=25",
+        "cornea.thickness_mm=0.65",
+        "puff.peak_kpa=14",
+        "puff.time_course=corvis",
+    ),
+    (
+        "numerics.duration_ms=3.5",
+        "numerics.spacing_mm=0.25",
+        "cornea.radius_mm=7.1",
+        "cornea.limbus_radius_mm=5.4",
+        "cornea.density_kg_m3=1200",
+        "numerics.cfl=0.5",
+    ),
+    (
+        "numerics.duration_ms=2",
+        "chamber.depth_mm=3.4",
+        "chamber.lens_radius_mm=10",
+        "chamber.lens_height_mm=0.6",
+        "aqueous.viscosity_mpa_s=5",
+        "numerics.sound_speed_m_s=25",
+        "numerics.coupling=loose",
+    ),
+    (
+        "numerics.duration_ms=3",
+        "chamber.sealed=false",
+        "puff.peak_kpa=3",
+        "aqueous.density_kg_m3=1030",
+        "camera.frame_interval_ms=0.3",
+    ),
+    (
+        "numerics.duration_ms=3",
+        "cornea.flexural_modulus_mpa=0.3",
+        "chamber.compliance_mm3_mmhg=1",
+        "numerics.dissipation=0.7",
+        "numerics.wall_condition=no_slip",
+        "numerics.relaxation=fixed",
+        "puff.radial_profile=gaussian",
+    ),
 ]
 SLACK = ("numerics.duration_ms=8", "eye.iop_mmhg=1")
 
@@ -76,8 +108,9 @@ def test_loops_over_all_nodes_agree_with_an_eye_to_a_thread_to_rounding(alone, m
     monkeypatch.setattr(backend, "threads", lambda: len(EYES) + 1)
     for outcome, (traces, *_) in zip(Batch([scene(overrides) for overrides in EYES]).run(), alone):
         for column, values in traces.items():
-            np.testing.assert_allclose(outcome.traces[column], values, rtol=1e-7, atol=1e-7 * np.abs(values).max() + 1e-12,
-                                       err_msg=column)
+            np.testing.assert_allclose(
+                outcome.traces[column], values, rtol=1e-7, atol=1e-7 * np.abs(values).max() + 1e-12, err_msg=column
+            )
 
 
 def test_a_slack_eye_stops_alone(alone):
@@ -99,13 +132,15 @@ def test_what_ran_before_in_the_same_fields_leaves_no_trace(alone):
 
 
 def test_eyes_of_one_chamber_share_a_packed_cloud():
-    one, other, third = clouds_of([scene(()), scene(("eye.iop_mmhg=22", "cornea.thickness_mm=0.6")),
-                                   scene(("cornea.radius_mm=7.2",))])
+    one, other, third = clouds_of(
+        [scene(()), scene(("eye.iop_mmhg=22", "cornea.thickness_mm=0.6")), scene(("cornea.radius_mm=7.2",))]
+    )
     assert one is other and one is not third
 
 
 def test_run_batch_keeps_the_order_over_bases_and_parcels(alone, monkeypatch):
     from taichi_eye.solver import batch
+
     scenes = [scene(EYES[0]), scene(("numerics.basis=cubic", "numerics.duration_ms=1")), scene(EYES[1]), scene(EYES[2])]
     monkeypatch.setattr(batch, "AT_ONCE", clouds_of(scenes)[0].count + 1)
     outcomes = run_batch(scenes)
@@ -127,10 +162,12 @@ def test_a_scene_that_cannot_be_filled_is_named():
 
 
 def test_single_precision_gives_the_same_histories_to_its_accuracy(alone):
-    program = ("import json; from taichi_eye import backend, load_scene; backend.init(precision='f32')\n"
-               "from taichi_eye.solver.batch import Batch\n"
-               f"out = Batch([load_scene(None, keys) for keys in {[[*BASE, *EYES[k]] for k in (0, 1)]}]).run()\n"
-               "print(json.dumps([eye.traces['apex_displacement_mm'].tolist() for eye in out]))")
+    program = (
+        "import json; from taichi_eye import backend, load_scene; backend.init(precision='f32')\n"
+        "from taichi_eye.solver.batch import Batch\n"
+        f"out = Batch([load_scene(None, keys) for keys in {[[*BASE, *EYES[k]] for k in (0, 1)]}]).run()\n"
+        "print(json.dumps([eye.traces['apex_displacement_mm'].tolist() for eye in out]))"
+    )
     said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     for history, number in zip(json.loads(said.stdout.splitlines()[-1]), (0, 1)):
         exact = alone[number][0]["apex_displacement_mm"]

@@ -1,9 +1,10 @@
 """Bending of the cornea: forces against the energy they derive from, and a known energy."""
+
 import numpy as np
 import pytest
-import taichi as ti
 
 from taichi_eye import backend
+from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.solver.cornea import Cornea
 
 RADIUS, RIM, THICKNESS, MODULUS = 7.8e-3, 5.8e-3, 0.55e-3, 0.3e6
@@ -19,7 +20,7 @@ class Probe:
     @ti.kernel
     def measure(self) -> ti.f64:
         ti.loop_config(serialize=True)
-        for once in range(1):
+        for _ in range(ONE_TASK):
             self.cornea.deform(0, 0.0)
         ti.loop_config(serialize=True)
         for i in range(ELEMENTS + 1):
@@ -39,7 +40,9 @@ def shell():
     cornea = Cornea(ELEMENTS + 1)
     flat = np.ones(ELEMENTS)
     # without in-plane tension but for the prestrain's: bending stands out
-    cornea.setup(nodes, THICKNESS * flat, 1050.0, (1562.0, 57.8, 0.49, 0.03 * flat), 2000.0, np.ones(ELEMENTS + 1), MODULUS)
+    cornea.setup(
+        nodes, THICKNESS * flat, 1050.0, (1562.0, 57.8, 0.49, 0.03 * flat), 2000.0, np.ones(ELEMENTS + 1), MODULUS
+    )
     return Probe(cornea), nodes
 
 

@@ -1,4 +1,5 @@
 """A globe that yields: the volume it takes up, and the energy that goes with it."""
+
 import numpy as np
 import pytest
 
@@ -42,7 +43,9 @@ def history(model, *more):
 
 @pytest.mark.parametrize("model", ["cavity", "mfpm"])
 def test_a_late_globe_lies_between_one_that_yields_at_once_and_one_that_does_not(model):
-    peaks = [history(model, f"chamber.globe_delay_ms={delay}")["apex_displacement_mm"].max() for delay in (0, 0.01, 3, 1000)]
+    peaks = [
+        history(model, f"chamber.globe_delay_ms={delay}")["apex_displacement_mm"].max() for delay in (0, 0.01, 3, 1000)
+    ]
     stiff = history(model, "chamber.compliance_mm3_mmhg=0")["apex_displacement_mm"].max()
     assert peaks[1] == pytest.approx(peaks[0], rel=1e-3)
     assert peaks[0] > peaks[2] > peaks[3] > stiff and peaks[3] == pytest.approx(stiff, rel=0.02)

@@ -1,10 +1,11 @@
 """The membrane against closed forms, its own energy and its own clock."""
+
 import numpy as np
 import pytest
-import taichi as ti
 
 from taichi_eye.eye import tissue
 from taichi_eye.eye.section import Section
+from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.scene import load_scene
 from taichi_eye.solver.cornea import Cornea
 from taichi_eye.units import MM, MMHG
@@ -33,16 +34,16 @@ class Membrane:
 
     def place(self, points):
         whole = np.zeros((CAPACITY, 2))
-        whole[:len(points)] = points
+        whole[: len(points)] = points
         self.cornea.place.from_numpy(whole)
 
     def read(self):
-        return self.out.to_numpy()[:len(self.nodes)]
+        return self.out.to_numpy()[: len(self.nodes)]
 
     @ti.kernel
     def _elastic_forces(self):
         ti.loop_config(serialize=True)
-        for once in range(1):
+        for _ in range(ONE_TASK):
             self.cornea.deform(0, 0.0)
         for i in range(self.cornea.last[0] + 1):
             self.out[i] = self.cornea.elastic_force(0, i)
@@ -63,7 +64,7 @@ class Membrane:
     @ti.kernel
     def _measure(self):
         ti.loop_config(serialize=True)
-        for once in range(1):
+        for _ in range(ONE_TASK):
             self.number[0] = self.cornea.elastic_energy(0)
             self.number[1] = self.cornea.enclosed_volume(0)
             self.number[2] = self.cornea.kinetic_energy(0)
@@ -76,7 +77,7 @@ class Membrane:
     def march(self, steps: int, dt: float):
         """Newmark steps under the constant IOP, no fluid."""
         ti.loop_config(serialize=True)
-        for step in range(steps):
+        for _ in range(steps):
             last = self.cornea.last[0]
             for i in range(last + 1):
                 self.cornea.predict(0, i, dt)
@@ -120,8 +121,9 @@ def test_even_inflation_balances_the_closed_form_pressure_at_second_order(membra
         membrane.build(elements, *overrides)
         membrane.place(inflated(membrane, stretch))
         c = membrane.scene.cornea
-        pressure = tissue.inflation_pressure(stretch, c.radius_mm * MM, membrane.thickness, c.stiffness_a_pa,
-                                             c.exponent_k, c.prestrain)
+        pressure = tissue.inflation_pressure(
+            stretch, c.radius_mm * MM, membrane.thickness, c.stiffness_a_pa, c.exponent_k, c.prestrain
+        )
         load = pressure * membrane.area_vectors()[:-1]
         missing = membrane.elastic_forces()[:-1] + load
         missing[0, 0] = 0.0  # taken by the symmetry of the axis
@@ -141,7 +143,7 @@ def test_elastic_force_is_minus_the_derivative_of_the_energy(membrane, elements,
     place, rng = crumpled(membrane, seed), np.random.default_rng(seed)
     membrane.place(place)
     # the energy counts the dead load that keeps the reference at rest, the tissue's force does not
-    force = membrane.elastic_forces() - membrane.cornea.residual.to_numpy()[:elements + 1]
+    force = membrane.elastic_forces() - membrane.cornea.residual.to_numpy()[: elements + 1]
     way = rng.normal(size=force.shape)
     way[0, 0] = way[-1] = 0.0
     step = 1e-4 * MM / elements
@@ -199,7 +201,7 @@ def test_mass_and_volume_are_those_of_the_cap(membrane, elements):
     membrane.build(elements)
     cap = membrane.section.apex_z
     area = 2.0 * np.pi * membrane.section.radius * cap
-    mass = membrane.cornea.mass.to_numpy()[:elements + 1].sum()
+    mass = membrane.cornea.mass.to_numpy()[: elements + 1].sum()
     density = membrane.scene.cornea.density_kg_m3
     assert mass == pytest.approx(area * membrane.thickness * density, rel=2.0 / elements**2)
     assert membrane.energy_volume_kinetic()[1] == pytest.approx(membrane.section.volume(), rel=2.0 / elements**2)
@@ -210,7 +212,7 @@ def test_mass_and_volume_are_those_of_the_cap(membrane, elements):
 def test_reference_is_exactly_at_rest(membrane, elements, overrides):
     membrane.build(elements, *overrides)
     membrane.march(2000, 1e-7)
-    np.testing.assert_array_equal(membrane.cornea.place.to_numpy()[:elements + 1], membrane.nodes)
+    np.testing.assert_array_equal(membrane.cornea.place.to_numpy()[: elements + 1], membrane.nodes)
     assert not membrane.cornea.velocity.to_numpy().any()
     assert not membrane.cornea.acceleration.to_numpy().any()
 

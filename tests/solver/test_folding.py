@@ -1,4 +1,5 @@
 """Stability against lobes around the axis, against the classical buckling of a sphere and the exact invariances."""
+
 import numpy as np
 import pytest
 
@@ -69,16 +70,27 @@ def energy(folding, place, shift, m, samples=96):
         along = np.array([np.diff(v) / folding.length for v in (r, t, z)])
         mean = lambda v: 0.5 * (v[1:] + v[:-1])  # noqa: E731
         around = np.array([mean(rp - t), mean(r + tp), mean(zp)]) / folding.radius
-        e1, e2 = 0.5 * ((along**2).sum(0) - 1.0) + folding.prestrain, 0.5 * ((around**2).sum(0) - 1.0) + folding.prestrain
+        e1, e2 = (
+            0.5 * ((along**2).sum(0) - 1.0) + folding.prestrain,
+            0.5 * ((around**2).sum(0) - 1.0) + folding.prestrain,
+        )
         shear = 0.5 * (along * around).sum(0)
         exponent = folding.s * ((1.0 - NU) * (e1**2 + e2**2 + 2.0 * shear**2) + NU * (e1 + e2) ** 2)
         total += (folding.thickness * folding.radius * folding.length * folding.a * np.expm1(exponent)).sum()
     return total * 2.0 * np.pi / samples
 
 
-THIN_IN_BENDING = ("cornea.stiffness_a_pa=220000", "cornea.flexural_modulus_mpa=0.016", "numerics.spacing_mm=0.2",
-                   "numerics.sound_speed_m_s=20", "numerics.duration_ms=15", "cornea.viscoelastic_share=0.5",
-                   "cornea.relaxation_ms=0.4", "chamber.compliance_mm3_mmhg=0.15", "puff.peak_kpa=12.85")
+THIN_IN_BENDING = (
+    "cornea.stiffness_a_pa=220000",
+    "cornea.flexural_modulus_mpa=0.016",
+    "numerics.spacing_mm=0.2",
+    "numerics.sound_speed_m_s=20",
+    "numerics.duration_ms=15",
+    "cornea.viscoelastic_share=0.5",
+    "cornea.relaxation_ms=0.4",
+    "chamber.compliance_mm3_mmhg=0.15",
+    "puff.peak_kpa=12.85",
+)
 
 
 @pytest.mark.parametrize("make", [lambda scene: Reduced(scene, "cavity"), Simulation])

@@ -1,4 +1,5 @@
 """Guards: each failure named with its place, its time and what to change; sound figures pass."""
+
 import numpy as np
 import pytest
 from eye_bench import run_eye
@@ -9,15 +10,32 @@ from taichi_eye.scene import load_scene
 from taichi_eye.solver.coupling import NOT_CONVERGED, RUNNING
 from taichi_eye.solver.guards import Calm, check, least_stress
 
-SOUND = {"least_stress": 14e3, "slackest_element": 3.0, "chamber_gap": 0.6, "gap_node": 0.0, "flattest_triangle": 0.6,
-         "flat_node": 12.0, "worst_condition": 210.0, "ill_node": 40.0, "not_finite": 0.0, "bad_node": -1.0,
-         "coupling_status": float(RUNNING)}
+SOUND = {
+    "least_stress": 14e3,
+    "slackest_element": 3.0,
+    "chamber_gap": 0.6,
+    "gap_node": 0.0,
+    "flattest_triangle": 0.6,
+    "flat_node": 12.0,
+    "worst_condition": 210.0,
+    "ill_node": 40.0,
+    "not_finite": 0.0,
+    "bad_node": -1.0,
+    "coupling_status": float(RUNNING),
+}
 NAN = float("nan")
 
 
 def judge(energy_gain=1e-8, largest_work=3e-5, overrides=(), lobes=None, **figures):
-    check({**SOUND, **figures}, energy_gain, largest_work, load_scene(None, overrides),
-          lambda node: 0.25 * node, 12.345, lobes=lobes)
+    check(
+        {**SOUND, **figures},
+        energy_gain,
+        largest_work,
+        load_scene(None, overrides),
+        lambda node: 0.25 * node,
+        12.345,
+        lobes=lobes,
+    )
 
 
 def refusal(**keys):
@@ -32,22 +50,30 @@ def test_sound_figures_pass():
     judge(energy_gain=0.0, largest_work=0.0)
 
 
-@pytest.mark.parametrize("keys, what, where, advice", [
-    ({"least_stress": -2.5}, "slack", "r = 0.75 mm", "puff.peak_kpa"),
-    ({"least_stress": 0.0}, "slack", "r = 0.75 mm", "eye.iop_mmhg"),
-    ({"chamber_gap": 0.01, "gap_node": 2.0}, "reached the back", "r = 0.50 mm", "puff.peak_kpa"),
-    ({"chamber_gap": -0.2}, "reached the back", "r = 0.00 mm", "chamber.depth_mm"),
-    ({"flattest_triangle": -0.1}, "cross", "r = 3.00 mm", "numerics.spacing_mm"),
-    ({"flattest_triangle": 0.01}, "cross", "r = 3.00 mm", "puff.peak_kpa"),
-    ({"worst_condition": 1e12}, "singular", "r = 10.00 mm", "numerics.spacing_mm"),
-    ({"worst_condition": float("inf")}, "singular", "r = 10.00 mm", "numerics.basis"),
-    ({"worst_condition": NAN}, "singular", "r = 10.00 mm", "numerics.basis"),
-    ({"not_finite": 1.0, "bad_node": 8.0}, "not finite", "r = 2.00 mm", "numerics.cfl"),
-    ({"energy_gain": NAN}, "not finite", "r = 0.00 mm", "numerics.dissipation"),
-    ({"energy_gain": 2e-5}, "energy", "20 uJ", "numerics.dissipation"),
-    ({"energy_gain": 1e-7, "largest_work": 0.0}, "energy", "0.1 uJ", "numerics.cfl"),
-    ({"coupling_status": float(NOT_CONVERGED), "overrides": ["numerics.coupling_iterations_max=7"]},
-     "did not converge", "7 sweeps", "numerics.coupling_iterations_max")])
+@pytest.mark.parametrize(
+    "keys, what, where, advice",
+    [
+        ({"least_stress": -2.5}, "slack", "r = 0.75 mm", "puff.peak_kpa"),
+        ({"least_stress": 0.0}, "slack", "r = 0.75 mm", "eye.iop_mmhg"),
+        ({"chamber_gap": 0.01, "gap_node": 2.0}, "reached the back", "r = 0.50 mm", "puff.peak_kpa"),
+        ({"chamber_gap": -0.2}, "reached the back", "r = 0.00 mm", "chamber.depth_mm"),
+        ({"flattest_triangle": -0.1}, "cross", "r = 3.00 mm", "numerics.spacing_mm"),
+        ({"flattest_triangle": 0.01}, "cross", "r = 3.00 mm", "puff.peak_kpa"),
+        ({"worst_condition": 1e12}, "singular", "r = 10.00 mm", "numerics.spacing_mm"),
+        ({"worst_condition": float("inf")}, "singular", "r = 10.00 mm", "numerics.basis"),
+        ({"worst_condition": NAN}, "singular", "r = 10.00 mm", "numerics.basis"),
+        ({"not_finite": 1.0, "bad_node": 8.0}, "not finite", "r = 2.00 mm", "numerics.cfl"),
+        ({"energy_gain": NAN}, "not finite", "r = 0.00 mm", "numerics.dissipation"),
+        ({"energy_gain": 2e-5}, "energy", "20 uJ", "numerics.dissipation"),
+        ({"energy_gain": 1e-7, "largest_work": 0.0}, "energy", "0.1 uJ", "numerics.cfl"),
+        (
+            {"coupling_status": float(NOT_CONVERGED), "overrides": ["numerics.coupling_iterations_max=7"]},
+            "did not converge",
+            "7 sweeps",
+            "numerics.coupling_iterations_max",
+        ),
+    ],
+)
 def test_each_failure_is_named(keys, what, where, advice):
     stop = refusal(**keys)
     assert what in stop.what and where in stop.where and advice in stop.advice
@@ -69,18 +95,29 @@ def test_a_shell_is_judged_from_the_classical_buckling_stress_on_and_stopped_onc
 
 
 def test_a_slack_wall_is_named_before_what_it_causes():
-    everything = {"least_stress": -1.0, "flattest_triangle": -1.0, "worst_condition": NAN, "not_finite": 1.0,
-                  "energy_gain": NAN}
+    everything = {
+        "least_stress": -1.0,
+        "flattest_triangle": -1.0,
+        "worst_condition": NAN,
+        "not_finite": 1.0,
+        "energy_gain": NAN,
+    }
     assert "slack" in refusal(**everything).what
 
 
 def test_many_eyes_are_calm_exactly_where_each_passes():
     rng, scene = np.random.default_rng(3), load_scene(None)
     limit = CONDITION_LIMIT[scene.numerics.basis]
-    choices = {"least_stress": (14e3, 14e3, 1.0, 0.0, -5.0, -1e6), "chamber_gap": (0.6, 0.6, 0.1, 0.05),
-               "flattest_triangle": (0.6, 0.6, 0.05, 0.0), "worst_condition": (210.0, 210.0, 1e3 * limit, NAN),
-               "not_finite": (0.0, 0.0, 0.0, 1.0), "coupling_status": (RUNNING, RUNNING, RUNNING, NOT_CONVERGED),
-               "viscous_loss": (0.0, 1e-7, 2e-6, 1e-5), "numerical_loss": (0.0, 1e-7, 2e-6, -1e-6)}
+    choices = {
+        "least_stress": (14e3, 14e3, 1.0, 0.0, -5.0, -1e6),
+        "chamber_gap": (0.6, 0.6, 0.1, 0.05),
+        "flattest_triangle": (0.6, 0.6, 0.05, 0.0),
+        "worst_condition": (210.0, 210.0, 1e3 * limit, NAN),
+        "not_finite": (0.0, 0.0, 0.0, 1.0),
+        "coupling_status": (RUNNING, RUNNING, RUNNING, NOT_CONVERGED),
+        "viscous_loss": (0.0, 1e-7, 2e-6, 1e-5),
+        "numerical_loss": (0.0, 1e-7, 2e-6, -1e-6),
+    }
     figures = {name: rng.choice(values, 3000) for name, values in choices.items()}
     for name, value in SOUND.items():
         figures.setdefault(name, np.full(3000, value))
@@ -130,9 +167,13 @@ def test_a_compliant_eye_is_blown_flat_against_its_back():
     assert run["apex_displacement_mm"].max() > 2.0
 
 
-@pytest.mark.parametrize("overrides", [
-    ("numerics.coupling_iterations_max=1",),
-    ("numerics.relaxation=fixed", "numerics.relaxation_factor=0.05", "numerics.coupling_iterations_max=10")])
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ("numerics.coupling_iterations_max=1",),
+        ("numerics.relaxation=fixed", "numerics.relaxation_factor=0.05", "numerics.coupling_iterations_max=10"),
+    ],
+)
 def test_an_iteration_cut_short_is_stopped(overrides):
     run = stopped(*overrides)
     assert "did not converge" in run.stop.what

@@ -1,4 +1,5 @@
 """A mean pressure that is stiffer than the waves: the chamber's compliance goes, the rest stays."""
+
 import numpy as np
 import pytest
 

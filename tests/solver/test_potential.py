@@ -1,4 +1,5 @@
 """Flow maps of the chamber against potential flow in closed form."""
+
 import numpy as np
 import pytest
 from scipy.special import j0, jn_zeros
@@ -43,8 +44,10 @@ def test_map_of_a_cylinder_is_that_of_bessel_modes(fields):
     for spacing in spacings:
         nodes, flow = placed(fields, vessel_cloud(Vessel(RADIUS, DEPTH), spacing))
         flux = two_modes(nodes[:, 0], k) * np.linalg.norm(ring_areas(nodes), axis=1)
-        exact = sum(sign * j0(kn * nodes[:, 0]) / j0(kn * RADIUS) / (np.tanh(kn * DEPTH) * kn)
-                    for kn, sign in zip(k, (1.0, -1.0)))
+        exact = sum(
+            sign * j0(kn * nodes[:, 0]) / j0(kn * RADIUS) / (np.tanh(kn * DEPTH) * kn)
+            for kn, sign in zip(k, (1.0, -1.0))
+        )
         off = flow.neumann @ flux - exact
         errors.append(np.abs(off - off.mean()).max() / np.ptp(exact))
     assert errors[-1] < 0.01
@@ -74,8 +77,8 @@ def test_open_chamber_takes_the_flux_by_a_uniform_source(fields):
     entries, size = aqueous.neighbours.entry.to_numpy(), aqueous.operators.size.to_numpy()
     found = []
     for node in np.flatnonzero(flow.interior):
-        row = entries[node, :size[node]]
-        found.append(weights[node, :size[node]] @ (potential[np.where(row < 0, -1 - row, row)] - potential[node]))
+        row = entries[node, : size[node]]
+        found.append(weights[node, : size[node]] @ (potential[np.where(row < 0, -1 - row, row)] - potential[node]))
     assert np.ptp(found) < 1e-6 * np.abs(found).max()
 
 
@@ -89,7 +92,9 @@ def test_layer_is_the_long_wave_limit(fields):
         layer.refresh()
         k = jn_zeros(1, 2) / RADIUS
         flux = two_modes(nodes[:, 0], k) * np.linalg.norm(ring_areas(nodes), axis=1)
-        kept = sum(sign * j0(kn * nodes[:, 0]) / j0(kn * RADIUS) * (1.0 / (kn**2 * depth) + depth / 3.0)
-                   for kn, sign in zip(k, (1.0, -1.0)))
+        kept = sum(
+            sign * j0(kn * nodes[:, 0]) / j0(kn * RADIUS) * (1.0 / (kn**2 * depth) + depth / 3.0)
+            for kn, sign in zip(k, (1.0, -1.0))
+        )
         off = (layer.neumann @ flux - kept)[:-1]
         assert np.abs(off - off.mean()).max() < 0.01 * np.ptp(kept)

@@ -1,4 +1,5 @@
 """Reduced models: volume, energy, statics, their agreement where physics makes them one, and their stops."""
+
 import numpy as np
 import pytest
 
@@ -100,8 +101,11 @@ def test_runs_repeat_to_the_bit_and_are_shown_again_without_another_run():
     first = run("added_mass")
     assert np.array_equal(apex(run("added_mass")), apex(first))
     steps, seen = first.steps, []
-    first.run(on_frame=lambda simulation, frame: seen.append((frame, simulation.traces["time_ms"][-1],
-                                                              simulation.cornea.place.to_numpy()[0, 1])))
+    first.run(
+        on_frame=lambda simulation, frame: seen.append(
+            (frame, simulation.traces["time_ms"][-1], simulation.cornea.place.to_numpy()[0, 1])
+        )
+    )
     assert first.steps == steps
     times, walls = first.wall_mm
     assert [frame for frame, *_ in seen] == list(range(len(times)))
@@ -109,9 +113,13 @@ def test_runs_repeat_to_the_bit_and_are_shown_again_without_another_run():
     assert [z * 1e3 for *_, z in seen] == pytest.approx(walls[:, 0, 1])
 
 
-@pytest.mark.parametrize("model, overrides, why", [
-    ("membrane", ("puff.peak_kpa=10",), "reached the back"),
-    ("cavity", ("cornea.prestrain=0.002", "cornea.exponent_k=86.1", "puff.peak_kpa=15"), "slack")])
+@pytest.mark.parametrize(
+    "model, overrides, why",
+    [
+        ("membrane", ("puff.peak_kpa=10",), "reached the back"),
+        ("cavity", ("cornea.prestrain=0.002", "cornea.exponent_k=86.1", "puff.peak_kpa=15"), "slack"),
+    ],
+)
 def test_a_run_that_leaves_its_validity_stops_and_keeps_what_was_computed(model, overrides, why):
     scene = load_scene(None, (f'numerics.fidelity="{model}"', "numerics.spacing_mm=0.2", *overrides))
     simulation, seen = Reduced(scene, model), []
@@ -128,8 +136,15 @@ def test_the_liquid_shown_moves_with_the_wall():
     def look(shown, frame):
         if frame == 40:
             place, velocity, pressure, count = shown.liquid()
-            found.append((velocity.to_numpy()[:shown.wall_count], shown.cornea.velocity.to_numpy()[:shown.wall_count],
-                          shown.cornea.place.to_numpy()[:shown.wall_count], pressure.to_numpy()[:count], shown))
+            found.append(
+                (
+                    velocity.to_numpy()[: shown.wall_count],
+                    shown.cornea.velocity.to_numpy()[: shown.wall_count],
+                    shown.cornea.place.to_numpy()[: shown.wall_count],
+                    pressure.to_numpy()[:count],
+                    shown,
+                )
+            )
 
     simulation.run(on_frame=look)
     liquid, wall, place, pressure, shown = found[0]

@@ -1,9 +1,10 @@
 """The relaxing part of the cornea's stress against the exact answers of quasi-linear viscoelasticity."""
+
 import numpy as np
 import pytest
-import taichi as ti
 
 from taichi_eye import backend
+from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.scene import load_scene
 from taichi_eye.solver.cornea import Cornea
 from taichi_eye.solver.reduced import Reduced
@@ -22,14 +23,22 @@ class Probe:
         angle = np.linspace(0.0, np.arcsin(RIM / RADIUS), ELEMENTS + 1)
         self.nodes = RADIUS * np.column_stack([np.sin(angle), np.cos(angle)])
         self.cornea = Cornea(ELEMENTS + 1)
-        self.cornea.setup(self.nodes, THICKNESS, 1050.0, (1562.0, 57.0, 0.4, 0.04), 2000.0, np.zeros(ELEMENTS + 1),
-                          flexural_modulus, (share, TIME))
+        self.cornea.setup(
+            self.nodes,
+            THICKNESS,
+            1050.0,
+            (1562.0, 57.0, 0.4, 0.04),
+            2000.0,
+            np.zeros(ELEMENTS + 1),
+            flexural_modulus,
+            (share, TIME),
+        )
         self.rest = self.cornea.stress.to_numpy()[:ELEMENTS]
 
     @ti.kernel
     def _deform(self, dt: float):
         ti.loop_config(serialize=True)
-        for once in range(1):
+        for _ in range(ONE_TASK):
             self.cornea.deform(0, dt)
 
     def move(self, place, dt):
@@ -110,8 +119,13 @@ def _stress_and_moment(probe, place):
     return still.cornea.strain.to_numpy()[:ELEMENTS], stress, moment / flexure, moment
 
 
-QUICK = ("numerics.spacing_mm=0.4", "numerics.sound_speed_m_s=20", "cornea.viscoelastic_share=0.8",
-         "cornea.relaxation_ms=0.5", "cornea.flexural_modulus_mpa=0.05")
+QUICK = (
+    "numerics.spacing_mm=0.4",
+    "numerics.sound_speed_m_s=20",
+    "cornea.viscoelastic_share=0.8",
+    "cornea.relaxation_ms=0.5",
+    "cornea.flexural_modulus_mpa=0.05",
+)
 
 
 @pytest.mark.parametrize("make", [lambda scene: Reduced(scene, "cavity"), Simulation])

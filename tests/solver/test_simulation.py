@@ -1,4 +1,5 @@
 """Whole runs of a coarse eye: the answer, rest, conservation, node motion, repetition."""
+
 import numpy as np
 import pytest
 from eye_bench import run_eye
@@ -36,14 +37,30 @@ def test_a_stronger_puff_dents_more(peak_kpa, peak_mm):
     assert run["apex_displacement_mm"].max() == pytest.approx(peak_mm, rel=0.03)
 
 
-@pytest.mark.parametrize("overrides", [
-    (), ("eye.iop_mmhg=30", "numerics.dissipation=1"), ("numerics.basis=cubic",), ("numerics.wall_condition=no_slip",),
-    ("numerics.coupling=loose",), ("chamber.depth_mm=3.4",), ("cornea.radius_mm=7", "aqueous.viscosity_mpa_s=20")])
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        (),
+        ("eye.iop_mmhg=30", "numerics.dissipation=1"),
+        ("numerics.basis=cubic",),
+        ("numerics.wall_condition=no_slip",),
+        ("numerics.coupling=loose",),
+        ("chamber.depth_mm=3.4",),
+        ("cornea.radius_mm=7", "aqueous.viscosity_mpa_s=20"),
+    ],
+)
 def test_without_a_puff_nothing_moves(overrides):
     run = run_eye("puff.peak_kpa=0", "numerics.duration_ms=3", *overrides)
     assert run.stop is None and run.steps > 100
-    for column in ("apex_displacement_mm", "apex_velocity_m_s", "chamber_volume_error", "puff_work_uj",
-                   "aqueous_kinetic_uj", "cornea_kinetic_uj", "energy_error_uj"):
+    for column in (
+        "apex_displacement_mm",
+        "apex_velocity_m_s",
+        "chamber_volume_error",
+        "puff_work_uj",
+        "aqueous_kinetic_uj",
+        "cornea_kinetic_uj",
+        "energy_error_uj",
+    ):
         np.testing.assert_allclose(run[column], 0.0, atol=1e-12, err_msg=column)
     np.testing.assert_allclose(run.places, run.cloud.points, rtol=0, atol=1e-15)
     assert np.abs(run.velocities).max() < 1e-12 and np.abs(run.pressures).max() < 1e-8
@@ -53,8 +70,9 @@ def test_without_a_puff_nothing_moves(overrides):
 
 def test_work_in_is_what_is_stored_and_lost(whole_run):
     work = whole_run["puff_work_uj"]
-    stored = sum(whole_run[f"{name}_uj"] for name in
-                 ("cornea_elastic", "cornea_kinetic", "aqueous_elastic", "aqueous_kinetic"))
+    stored = sum(
+        whole_run[f"{name}_uj"] for name in ("cornea_elastic", "cornea_kinetic", "aqueous_elastic", "aqueous_kinetic")
+    )
     lost = whole_run["viscous_loss_uj"] + whole_run["numerical_loss_uj"]
     np.testing.assert_allclose(whole_run["energy_error_uj"], stored + lost - work, atol=1e-9)
     assert np.abs(stored + lost - work).max() < 0.01 * work.max()
@@ -74,12 +92,16 @@ def test_volume_error_is_what_the_compliance_explains(sound_speed):
     # at the deepest the whole chamber is under one pressure, and the volume answers it
     assert run["chamber_volume_error"][-1] == pytest.approx(
         -(run["fluid_pressure_apex_kpa"][-1] * KPA - run.scene.eye.iop_mmhg * MMHG)
-        / (run.scene.aqueous.density_kg_m3 * sound_speed**2), rel=0.1)
+        / (run.scene.aqueous.density_kg_m3 * sound_speed**2),
+        rel=0.1,
+    )
 
 
 def test_more_compliance_dents_deeper_as_the_inverse_square_of_c():
-    peaks = [run_eye(f"numerics.sound_speed_m_s={c}", "numerics.duration_ms=16")["apex_displacement_mm"].max()
-             for c in (20, 40, 80)]
+    peaks = [
+        run_eye(f"numerics.sound_speed_m_s={c}", "numerics.duration_ms=16")["apex_displacement_mm"].max()
+        for c in (20, 40, 80)
+    ]
     first, second = peaks[0] - peaks[1], peaks[1] - peaks[2]
     assert first > second > 0.0
     assert np.log2(first / second) == pytest.approx(2.0, abs=0.3)
@@ -97,8 +119,8 @@ def test_cloud_stays_healthy_through_the_dent_and_comes_back(whole_run):
 def test_nodes_go_with_the_cornea_and_the_back_stays(whole_run):
     run = run_eye("numerics.duration_ms=10")
     cloud = run.cloud
-    assert np.linalg.norm(run.wall - cloud.points[:cloud.wall_count], axis=1).max() > 0.4 * MM
-    np.testing.assert_allclose(run.places[:cloud.wall_count], run.wall, rtol=0, atol=1e-15)
+    assert np.linalg.norm(run.wall - cloud.points[: cloud.wall_count], axis=1).max() > 0.4 * MM
+    np.testing.assert_allclose(run.places[: cloud.wall_count], run.wall, rtol=0, atol=1e-15)
     back = cloud.height_fraction == 0.0
     np.testing.assert_array_equal(run.places[back], cloud.points[back])
     assert run.wall[0, 0] == 0.0 and tuple(run.wall[-1]) == tuple(cloud.points[cloud.wall_count - 1])
@@ -128,8 +150,16 @@ def test_a_run_leaves_nothing_behind_for_the_next(whole_run):
 
 
 def test_frames_and_samples_come_at_their_times():
-    scene = load_scene(None, ["numerics.spacing_mm=0.3", "numerics.sound_speed_m_s=10", "numerics.duration_ms=1.2",
-                              "camera.frame_interval_ms=0.23", "camera.frame_count=4"])
+    scene = load_scene(
+        None,
+        [
+            "numerics.spacing_mm=0.3",
+            "numerics.sound_speed_m_s=10",
+            "numerics.duration_ms=1.2",
+            "camera.frame_interval_ms=0.23",
+            "camera.frame_count=4",
+        ],
+    )
     simulation, frames, samples = Simulation(scene), [], []
     traces = simulation.run(lambda s, frame: frames.append((frame, s.time_ms)), lambda s: samples.append(s.time_ms))
     assert [frame for frame, _ in frames] == [0, 1, 2, 3]

@@ -1,4 +1,5 @@
 """Limits of the time step from made-up figures."""
+
 import math
 
 import numpy as np
@@ -7,8 +8,13 @@ import pytest
 from taichi_eye.scene import load_scene
 from taichi_eye.solver.timestep import NAMES, StepLimits, limits, stable_step
 
-FIGURES = {"smallest_gap": 0.8e-4, "membrane_step": 2e-6, "membrane_speed": 25.0, "transverse_speed": 5.0,
-           "pair_weight": 1e7}
+FIGURES = {
+    "smallest_gap": 0.8e-4,
+    "membrane_step": 2e-6,
+    "membrane_speed": 25.0,
+    "transverse_speed": 5.0,
+    "pair_weight": 1e7,
+}
 
 
 def every(*overrides, **figures):
@@ -75,12 +81,16 @@ def test_volume_limit_is_that_of_the_mean_pressures_stiffness_beyond_the_waves()
     assert every(stiff, "numerics.mean_sound_speed_m_s=50", "chamber.sealed=false")["volume"] == math.inf
 
 
-@pytest.mark.parametrize("overrides, figures, name", [
-    ((), {}, "acoustic"),
-    (("aqueous.viscosity_mpa_s=1000",), {"smallest_gap": 1e-6}, "viscous"),
-    ((), {"membrane_step": 1e-9, "membrane_speed": 50.0}, "membrane in plane"),
-    (("numerics.sound_speed_m_s=1",), {"transverse_speed": 40.0}, "membrane transverse"),
-    (("cornea.density_kg_m3=100", "cornea.thickness_mm=0.01", "numerics.dissipation=0"), {}, "coupling")])
+@pytest.mark.parametrize(
+    "overrides, figures, name",
+    [
+        ((), {}, "acoustic"),
+        (("aqueous.viscosity_mpa_s=1000",), {"smallest_gap": 1e-6}, "viscous"),
+        ((), {"membrane_step": 1e-9, "membrane_speed": 50.0}, "membrane in plane"),
+        (("numerics.sound_speed_m_s=1",), {"transverse_speed": 40.0}, "membrane transverse"),
+        (("cornea.density_kg_m3=100", "cornea.thickness_mm=0.01", "numerics.dissipation=0"), {}, "coupling"),
+    ],
+)
 @pytest.mark.parametrize("cfl", [0.1, 0.8])
 def test_step_is_the_smallest_limit_times_cfl(overrides, figures, name, cfl):
     scene = load_scene(None, [*overrides, f"numerics.cfl={cfl}"])
@@ -90,8 +100,13 @@ def test_step_is_the_smallest_limit_times_cfl(overrides, figures, name, cfl):
 
 
 def test_many_scenes_have_each_its_own_step():
-    overrides = [(), ("numerics.sound_speed_m_s=160", "numerics.cfl=0.5"), ("aqueous.viscosity_mpa_s=1000",),
-                 ("cornea.density_kg_m3=100", "cornea.thickness_mm=0.01"), ("cornea.flexural_modulus_mpa=40",)]
+    overrides = [
+        (),
+        ("numerics.sound_speed_m_s=160", "numerics.cfl=0.5"),
+        ("aqueous.viscosity_mpa_s=1000",),
+        ("cornea.density_kg_m3=100", "cornea.thickness_mm=0.01"),
+        ("cornea.flexural_modulus_mpa=40",),
+    ]
     scenes = [load_scene(None, keys) for keys in overrides]
     figures = [{name: value * (1.0 + 0.3 * k) for name, value in FIGURES.items()} for k in range(len(scenes))]
     steps, which = StepLimits(scenes).stable_steps({name: np.array([f[name] for f in figures]) for name in FIGURES})

@@ -2,6 +2,7 @@
 
 A part is a module of this room with `measure(stage)`, as in `taichi_eye.bench`: rows of figures beside what is asked.
 """
+
 from taichi_eye.bench import bench
 from taichi_eye.proof.films import damaged, optics, reading, speed
 
@@ -14,5 +15,6 @@ PARTS = {
 
 
 def report(only=(), out: str | None = None, json_file: str | None = None) -> bool:
-    """Measure the parts named (all without names), print the table, write page and JSON; whether all that is asked holds."""
+    """Measure the parts named (all without names), print the table, write page and JSON; whether all that is asked
+    holds."""
     return bench.report(only, out, json_file, parts=PARTS, command="films")

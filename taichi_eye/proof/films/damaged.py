@@ -1,9 +1,11 @@
 """Damaged films: DA and the times that are still read from them.
 
-Two eyes, each filmed with noise and then harmed: one frame in ten dropped (times from the stamps), every frame a JPEG of
-quality 40, the picture turned by +5 or -5 degrees, a bright block pattern in the lower left corner, the axis 30 px off the
-middle; and all of it at once, with 2 degrees. The turn is one of the true shape, about the middle of the frame.
+Two eyes, each filmed with noise and then harmed: one frame in ten dropped (times from the stamps), every frame a JPEG
+of quality 40, the picture turned by +5 or -5 degrees, a bright block pattern in the lower left corner, the axis 30 px
+off
+the middle; and all of it at once, with 2 degrees. The turn is one of the true shape, about the middle of the frame.
 """
+
 from __future__ import annotations
 
 import io
@@ -20,7 +22,7 @@ from taichi_eye.bench.rows import Row, at_most
 from taichi_eye.proof.films.eyes import EYES, INTERVAL_MS, TIMES_MS, Studio, truth
 from taichi_eye.proof.films.reading import difference
 
-NUMBERS = 0, 6                 # of EYES
+NUMBERS = 0, 6  # of EYES
 TURN_DEG, TURN_ALL_DEG = 5.0, 2.0
 QUALITY = 40
 AMPLITUDE_UM, TIME_MS = 20.0, 0.25
@@ -92,8 +94,10 @@ def errors(studio: Studio, number: int, harm: str) -> tuple[float, float]:
     known = np.isfinite(times)
     read = respond(curves_from_edges(find_edges(frames[known]), times[known], Instrument()), INTERVAL_MS)
     true = respond(truth(eye, scene), INTERVAL_MS)
-    return (difference(read, true, "deformation_amplitude_mm", "um"),
-            max(difference(read, true, name, "ms") for name in TIMES))
+    return (
+        difference(read, true, "deformation_amplitude_mm", "um"),
+        max(difference(read, true, name, "ms") for name in TIMES),
+    )
 
 
 def measure(stage) -> tuple[list[Row], list[Figure]]:
@@ -103,6 +107,8 @@ def measure(stage) -> tuple[list[Row], list[Figure]]:
         stage(harm)
         found = [errors(studio, number, harm) for number in NUMBERS]
         amplitude, late = (max(pair[k] for pair in found) for k in (0, 1))
-        rows += [at_most(f"{harm}: DA", amplitude, "um", AMPLITUDE_UM, f"worst of {len(NUMBERS)} eyes"),
-                 at_most(f"{harm}: A1, HC, A2 time", late, "ms", TIME_MS)]
+        rows += [
+            at_most(f"{harm}: DA", amplitude, "um", AMPLITUDE_UM, f"worst of {len(NUMBERS)} eyes"),
+            at_most(f"{harm}: A1, HC, A2 time", late, "ms", TIME_MS),
+        ]
     return rows, []

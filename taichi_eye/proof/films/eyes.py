@@ -1,20 +1,22 @@
-"""Eyes whose motion is known in closed form, and films of them through the whole chain: optics, noise, encoder, decoder.
+"""Eyes whose motion is known in closed form, and films of them through the whole chain: optics, noise, encoder,
+decoder.
 
-The cap dents by d(t) [exp(-(r/w)^2) - b exp(-(r - 3.2)^2)] (r, w in mm) and retreats with the whole eye; d rises and falls as
-two tanh steps under a wide bell, so that rise and fall differ in time and speed as they do in living eyes.
+The cap dents by d(t) [exp(-(r/w)^2) - b exp(-(r - 3.2)^2)] (r, w in mm) and retreats with the whole eye; d rises and
+falls as two tanh steps under a wide bell, so that rise and fall differ in time and speed as they do in living eyes.
 """
+
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import taichi as ti
 
 from taichi_eye.analysis import Curves, curves_from_wall
 from taichi_eye.backend import real
 from taichi_eye.eye.globe import retreat_mm
 from taichi_eye.film import FilmWriter, FrameState, Scheimpflug
+from taichi_eye.lang import ti
 from taichi_eye.scene import Scene, load_scene
 
 NODES = 120
@@ -45,7 +47,11 @@ class Eye:
         (rise, slow), (fall, quick) = self.rise_ms, self.fall_ms
 
         def course(t):
-            return 0.5 * (np.tanh((t - rise) / slow) - np.tanh((t - fall) / quick)) * np.exp(-(((t - TOP_MS) / BELL_MS) ** 2))
+            return (
+                0.5
+                * (np.tanh((t - rise) / slow) - np.tanh((t - fall) / quick))
+                * np.exp(-(((t - TOP_MS) / BELL_MS) ** 2))
+            )
 
         return self.depth_mm * (course(np.asarray(time_ms, dtype=float)) - course(0.0)) / (course(TOP_MS) - course(0.0))
 
@@ -61,18 +67,45 @@ class Eye:
 EYES = (
     Eye("default"),
     Eye("flat and thick", 0.80, 1.9, overrides=("cornea.radius_mm=8.5", "cornea.thickness_mm=0.63")),
-    Eye("steep and thin", 1.20, 1.6, overrides=("cornea.radius_mm=7.2", "cornea.limbus_radius_mm=5.5",
-                                                "cornea.thickness_mm=0.46")),
-    Eye("thick rim, whole eye retreats", 0.85, 1.8, overrides=("cornea.limbus_thickness_mm=0.67",
-                                                               "eye.whole_eye_movement_mm=0.3")),
+    Eye(
+        "steep and thin",
+        1.20,
+        1.6,
+        overrides=("cornea.radius_mm=7.2", "cornea.limbus_radius_mm=5.5", "cornea.thickness_mm=0.46"),
+    ),
+    Eye(
+        "thick rim, whole eye retreats",
+        0.85,
+        1.8,
+        overrides=("cornea.limbus_thickness_mm=0.67", "eye.whole_eye_movement_mm=0.3"),
+    ),
     Eye("stiff: a shallow dent", 0.55, 1.7, 0.05, (9.6, 3.2), (20.3, 2.2)),
-    Eye("soft: deep and wide, retreats far", 1.15, 2.1, 0.10, (8.3, 2.4), (21.6, 1.3), ("eye.whole_eye_movement_mm=0.4",)),
+    Eye(
+        "soft: deep and wide, retreats far",
+        1.15,
+        2.1,
+        0.10,
+        (8.3, 2.4),
+        (21.6, 1.3),
+        ("eye.whole_eye_movement_mm=0.4",),
+    ),
     Eye("snaps in and out", 0.95, 1.7, 0.07, (8.4, 1.5), (21.3, 0.8), ("eye.whole_eye_movement_mm=0.25",)),
     Eye("off centre, low", 0.95, 1.75, overrides=("camera.apex_column_px=258", "camera.apex_row_px=28")),
-    Eye("off centre, high", 1.05, 1.85, overrides=("camera.apex_column_px=322", "camera.apex_row_px=8",
-                                                   "cornea.thickness_mm=0.58")),
-    Eye("keratoconus-like: thin, quick", 1.25, 1.45, 0.06, (7.9, 2.0), (21.2, 1.1),
-        ("cornea.thickness_mm=0.456", "cornea.radius_mm=7.4", "eye.whole_eye_movement_mm=0.25")),
+    Eye(
+        "off centre, high",
+        1.05,
+        1.85,
+        overrides=("camera.apex_column_px=322", "camera.apex_row_px=8", "cornea.thickness_mm=0.58"),
+    ),
+    Eye(
+        "keratoconus-like: thin, quick",
+        1.25,
+        1.45,
+        0.06,
+        (7.9, 2.0),
+        (21.2, 1.1),
+        ("cornea.thickness_mm=0.456", "cornea.radius_mm=7.4", "eye.whole_eye_movement_mm=0.25"),
+    ),
 )
 
 
@@ -94,7 +127,9 @@ def rows_px(eye: Eye, scene: Scene) -> np.ndarray:
     camera, walls = scene.camera, walls_mm(eye, scene)
     x = np.abs(np.arange(camera.width_px) - camera.apex_column_px) * camera.pixel_x_mm
     top = walls[0, 0, 1]
-    return np.stack([camera.apex_row_px + (top - np.interp(x, r, z)) / camera.pixel_y_mm for r, z in walls.transpose(0, 2, 1)])
+    return np.stack(
+        [camera.apex_row_px + (top - np.interp(x, r, z)) / camera.pixel_y_mm for r, z in walls.transpose(0, 2, 1)]
+    )
 
 
 class Studio:
@@ -108,8 +143,19 @@ class Studio:
         """What the renderer sees of the eye at a time."""
         self.wall.from_numpy(eye.wall_mm(scene, time_ms) * 1e-3)
         empty = np.empty(0)
-        return FrameState(float(time_ms), self.wall, NODES, self.nodes, 0, self.pressure, self.velocity, empty, empty, empty,
-                          retreat_mm=float(retreat_mm(scene, time_ms)))
+        return FrameState(
+            float(time_ms),
+            self.wall,
+            NODES,
+            self.nodes,
+            0,
+            self.pressure,
+            self.velocity,
+            empty,
+            empty,
+            empty,
+            retreat_mm=float(retreat_mm(scene, time_ms)),
+        )
 
     def frames(self, eye: Eye, scene: Scene) -> np.ndarray:
         """Frames at TIMES_MS, uint8 [FRAMES, height, width]."""

@@ -1,10 +1,12 @@
 """Films with full optics and noise, encoded and decoded, read back: edges, histories, parameters, thickness.
 
 Ten eyes that differ in shape, thickness, depth, width and speed of the dent, retreat and place in the frame; some with
-several seeds of noise. Each row is the worst over all films. Edges: central 7 mm, against the wall that was drawn. Apex:
-of the smoothed history against the true one treated alike. Thickness: mean of the central 1.2 mm; at rest the mean of the
-first 3 ms; through the puff the largest departure of a single frame from that mean.
+several seeds of noise. Each row is the worst over all films. Edges: central 7 mm, against the wall that was drawn.
+Apex: of the smoothed history against the true one treated alike. Thickness: mean of the central 1.2 mm; at rest the
+mean of
+the first 3 ms; through the puff the largest departure of a single frame from that mean.
 """
+
 from __future__ import annotations
 
 import tempfile
@@ -23,10 +25,15 @@ BIOP_MMHG = 15.0
 # name, field of Response, unit, limit; shares in %
 PARAMETERS = (
     ("amplitude (DA)", "deformation_amplitude_mm", "um", 10.0),
-    ("A1 time", "a1_time_ms", "ms", 0.12), ("HC time", "hc_time_ms", "ms", 0.12), ("A2 time", "a2_time_ms", "ms", 0.12),
-    ("A1 velocity", "a1_velocity_m_s", "%", 5.0), ("A2 velocity", "a2_velocity_m_s", "%", 5.0),
-    ("DA ratio, 2 mm", "da_ratio_2mm", "%", 2.0), ("DA ratio, 1 mm", "da_ratio_1mm", "%", 2.0),
-    ("peak distance", "peak_distance_mm", "%", 2.0), ("HC radius", "hc_radius_mm", "%", 3.0),
+    ("A1 time", "a1_time_ms", "ms", 0.12),
+    ("HC time", "hc_time_ms", "ms", 0.12),
+    ("A2 time", "a2_time_ms", "ms", 0.12),
+    ("A1 velocity", "a1_velocity_m_s", "%", 5.0),
+    ("A2 velocity", "a2_velocity_m_s", "%", 5.0),
+    ("DA ratio, 2 mm", "da_ratio_2mm", "%", 2.0),
+    ("DA ratio, 1 mm", "da_ratio_1mm", "%", 2.0),
+    ("peak distance", "peak_distance_mm", "%", 2.0),
+    ("HC radius", "hc_radius_mm", "%", 3.0),
     ("integrated inverse radius", "integrated_inverse_radius_per_mm", "%", 3.0),
     ("HC deflection area", "hc_deflection_area_mm2", "%", 3.0),
     ("HC delta arc length", "hc_delta_arc_length_mm", "%", 5.0),
@@ -51,8 +58,11 @@ def read_back(studio: Studio, eye, seed: int, folder: Path) -> dict[str, float]:
     camera = scene.camera
     middle = np.abs(np.arange(camera.width_px) - camera.apex_column_px) * camera.pixel_x_mm <= CENTRAL_MM
     off = np.abs(result.edges.anterior - rows_px(eye, scene))[:, middle]
-    found = {"edge RMS": float(np.sqrt(np.nanmean(off**2))), "edge within 1.5 px": 100.0 * float((off <= 1.5).mean()),
-             "apex RMS": 1e3 * float(np.sqrt(np.mean((result.histories.apex_mm - histories(exact).apex_mm) ** 2)))}
+    found = {
+        "edge RMS": float(np.sqrt(np.nanmean(off**2))),
+        "edge within 1.5 px": 100.0 * float((off <= 1.5).mean()),
+        "apex RMS": 1e3 * float(np.sqrt(np.mean((result.histories.apex_mm - histories(exact).apex_mm) ** 2))),
+    }
     found |= {name: difference(result.response, true, field, unit) for name, field, unit, _ in PARAMETERS}
     thickness, rest = 1e3 * result.curves.thickness_mm, result.response.central_thickness_um
     found["thickness at rest"] = abs(rest - 1e3 * scene.cornea.thickness_mm)
@@ -77,9 +87,13 @@ def measure(stage) -> tuple[list[Row], list[Figure]]:
             for seed in SEEDS.get(number, (1,)):
                 stage(f"{eye.name}, seed {seed}")
                 films.append((f"{eye.name}, seed {seed}", read_back(studio, eye, seed, Path(folder))))
-    limits = {"edge RMS": ("px", 0.5), "apex RMS": ("um", 6.0),
-              **{name: (unit, limit) for name, _, unit, limit in PARAMETERS},
-              "thickness at rest": ("um", 10.0), "thickness through the puff": ("um", 10.0)}
+    limits = {
+        "edge RMS": ("px", 0.5),
+        "apex RMS": ("um", 6.0),
+        **{name: (unit, limit) for name, _, unit, limit in PARAMETERS},
+        "thickness at rest": ("um", 10.0),
+        "thickness through the puff": ("um", 10.0),
+    }
     rows = [worst(films, name, unit, limit) for name, (unit, limit) in limits.items()]
     rows.insert(1, worst(films, "edge within 1.5 px", "%", 99.0, least=True))
     return rows, [_shares(films, limits)]

@@ -1,9 +1,12 @@
 """How fast frames are drawn, and what filming adds to a run.
 
-Frames a second: 576 x 200, from the wall on the device to the image in memory, best of several batches, full optics, plain band and
-both views in turn. Share: (run with film - run without)/(run without) of the default eye, which is configs/seed.toml: both
-views, film.mp4 encoded beside the simulation and finished; kernels compiled before, best of two runs each, in turn.
+Frames a second: 576 x 200, from the wall on the device to the image in memory, best of several batches, full optics,
+plain band and both views in turn. Share: (run with film - run without)/(run without) of the default eye, which is
+configs/seed.toml:
+both views, film.mp4 encoded beside the simulation and finished; kernels compiled before, best of two runs each, in
+turn.
 """
+
 from __future__ import annotations
 
 import tempfile
@@ -32,7 +35,7 @@ def measure(stage) -> tuple[list[Row], list[Figure]]:
 
     def batch(view):
         for k in range(BATCH):
-            state.time_ms = k * INTERVAL_MS       # other noise, another stamp
+            state.time_ms = k * INTERVAL_MS  # other noise, another stamp
             view.render(state)
 
     jobs = {name: lambda view=view: batch(view) for name, view in views.items()}
@@ -44,13 +47,20 @@ def measure(stage) -> tuple[list[Row], list[Figure]]:
     cloud = cloud_of(scene)
     view = _compiled(scene, cloud)
     with tempfile.TemporaryDirectory() as folder:
-        took = best_of({"without": lambda: Simulation(scene, cloud).run(),
-                        "with": lambda: _filmed(scene, cloud, view, Path(folder))}, TURNS)
+        took = best_of(
+            {
+                "without": lambda: Simulation(scene, cloud).run(),
+                "with": lambda: _filmed(scene, cloud, view, Path(folder)),
+            },
+            TURNS,
+        )
     share = 100.0 * (took["with"] / took["without"] - 1.0)
-    return [at_least("full optics, 576 x 200", best["full"], "frames/s", 500.0),
-            at_least("plain band, 576 x 200", best["plain"], "frames/s", 1500.0),
-            figure("the default eye without a film", took["without"], "s"),
-            at_most("what its film adds", share, "%", 15.0, "139 frames, both views, encoder included")], []
+    return [
+        at_least("full optics, 576 x 200", best["full"], "frames/s", 500.0),
+        at_least("plain band, 576 x 200", best["plain"], "frames/s", 1500.0),
+        figure("the default eye without a film", took["without"], "s"),
+        at_most("what its film adds", share, "%", 15.0, "139 frames, both views, encoder included"),
+    ], []
 
 
 def _compiled(scene: Scene, cloud) -> FilmView:
@@ -68,5 +78,15 @@ def _filmed(scene: Scene, cloud, view: FilmView, folder: Path) -> None:
 def _state(eye: Simulation) -> FrameState:
     place, velocity, pressure, count = eye.liquid()
     traces = eye.traces
-    return FrameState(eye.time_ms, eye.cornea.place, eye.wall_count, place, count, pressure, velocity, traces["time_ms"],
-                      traces["apex_displacement_mm"], traces["puff_apex_kpa"])
+    return FrameState(
+        eye.time_ms,
+        eye.cornea.place,
+        eye.wall_count,
+        place,
+        count,
+        pressure,
+        velocity,
+        traces["time_ms"],
+        traces["apex_displacement_mm"],
+        traces["puff_apex_kpa"],
+    )

@@ -1,17 +1,24 @@
 """Corners: odd scenes of which each must either be right or stop with the right diagnosis.
 
-A run that got to its end is held against the same scene at a finer spacing, a smaller time step, iterated coupling and the
-quadratic basis. It failed in silence where its apex history is more than `APART` of the peak off, or the energy it stores
-or dissipates exceeds the work by more than `GAIN`. A stopped run must name the cause that the scene was built to have.
+A run that got to its end is held against the same scene at a finer spacing, a smaller time step, iterated coupling and
+the quadratic basis. It failed in silence where its apex history is more than `APART` of the peak off, or the energy it
+stores or dissipates exceeds the work by more than `GAIN`. A stopped run must name the cause that the scene was built to
+have.
 """
+
 import numpy as np
 
 from taichi_eye.proof.maps.result import Map, finish, panels
 from taichi_eye.proof.maps.runs import run
 
 APART, GAIN = 0.03, 0.15
-FINER = {"numerics.spacing_mm": 0.2, "numerics.cfl": 0.6, "numerics.basis": "quadratic", "numerics.coupling": "iterated",
-         "numerics.dissipation": 0.5}
+FINER = {
+    "numerics.spacing_mm": 0.2,
+    "numerics.cfl": 0.6,
+    "numerics.basis": "quadratic",
+    "numerics.coupling": "iterated",
+    "numerics.dissipation": 0.5,
+}
 # name: keys, and the words of which a stop must hold one; "" where the run may get to its end
 CORNERS = {
     "default": ({}, ("",)),
@@ -19,8 +26,10 @@ CORNERS = {
     "low c": ({"numerics.sound_speed_m_s": 2.0}, ("",)),
     "low c, deep": ({"numerics.sound_speed_m_s": 1.0, "puff.peak_kpa": 20.0}, ("back", "cross")),
     "loose": ({"numerics.coupling": "loose"}, ("",)),
-    "thin wall, loose, cfl 1": ({"numerics.coupling": "loose", "cornea.thickness_mm": 0.05, "numerics.cfl": 1.0},
-                                ("",)),
+    "thin wall, loose, cfl 1": (
+        {"numerics.coupling": "loose", "cornea.thickness_mm": 0.05, "numerics.cfl": 1.0},
+        ("",),
+    ),
     "thin and light wall": ({"cornea.thickness_mm": 0.05, "cornea.density_kg_m3": 100.0}, ("",)),
     "cubic": ({"numerics.basis": "cubic"}, ("",)),
     "no dissipation": ({"numerics.dissipation": 0.0}, ("energy",)),
@@ -52,29 +61,53 @@ def corners(say=print) -> Map:
             apart_of[name] = float(np.sqrt(np.mean((history - other) ** 2)) / other.max())
             work = np.abs(each.traces["puff_work_uj"]).max()
             gain_of[name] = float((each.traces["energy_error_uj"] - each.traces["viscous_loss_uj"]).max() / work)
-            outcome = (f"ran: {100 * apart_of[name]:.2f} % from the finer run, energy gained {100 * gain_of[name]:.2g} %"
-                       + (f"; the finer run: {finer.stop.what}" if finer.stop else ""))
+            outcome = (
+                f"ran: {100 * apart_of[name]:.2f} % from the finer run, energy gained {100 * gain_of[name]:.2g} %"
+                + (f"; the finer run: {finer.stop.what}" if finer.stop else "")
+            )
             if apart_of[name] > APART or gain_of[name] > GAIN:
                 broken.append(f"{name}: {outcome}")
         else:
             outcome = f"stopped: {each.stop.what} at {each.stop.time_ms:.2f} ms"
         if not any(word in each.stop.what if each.stop else word == "" for word in causes if word or not each.stop):
             broken.append(f"{name}: {outcome}; expected {' or '.join(word or 'to run' for word in causes)}")
-        body.append((name, ", ".join(f"{key} {value}" for key, value in keys.items()), f"{each.apex.peak:.3f}", outcome,
-                     each.stop.advice if each.stop else ""))
+        body.append(
+            (
+                name,
+                ", ".join(f"{key} {value}" for key, value in keys.items()),
+                f"{each.apex.peak:.3f}",
+                outcome,
+                each.stop.advice if each.stop else "",
+            )
+        )
         figures[name] = outcome
         say(f"  {name}: {outcome}")
     canvas, ((axes,),) = panels(1, width=8.0)
     names = list(apart_of)
-    axes.barh(np.arange(len(names)) - 0.2, [100 * apart_of[n] for n in names], 0.38, color="#14539a",
-              label="apex history off the finer run, rms over peak")
-    axes.barh(np.arange(len(names)) + 0.2, [100 * max(gain_of[n], 1e-6) for n in names], 0.38, color="#c9641a",
-              label="energy gained over work")
+    axes.barh(
+        np.arange(len(names)) - 0.2,
+        [100 * apart_of[n] for n in names],
+        0.38,
+        color="#14539a",
+        label="apex history off the finer run, rms over peak",
+    )
+    axes.barh(
+        np.arange(len(names)) + 0.2,
+        [100 * max(gain_of[n], 1e-6) for n in names],
+        0.38,
+        color="#c9641a",
+        label="energy gained over work",
+    )
     axes.axvline(100 * APART, color="#22262b", linewidth=1, linestyle=":", label="history: silent failure beyond")
     axes.set_yticks(np.arange(len(names)), names)
     finish(axes, "corners that ran to their end", "%", "", log="x", legend="upper left")
     axes.set_ylim(len(names) - 0.4, -2.4)
     stopped = sum("stopped" in line for line in figures.values())
-    found = [f"{len(CORNERS)} corners: {stopped} stopped, {len(names)} ran to their end, {len(broken)} failed in silence or with "
-             "the wrong diagnosis."]
-    return Map("corners", canvas, found, ("corner", "keys", "peak, mm", "what became of it", "advice"), body, figures, broken)
+    found = [
+        f"{len(CORNERS)} corners: {stopped} stopped, {len(names)} ran to their end, "
+        f"{len(broken)} failed in silence or with "
+        "the wrong diagnosis."
+    ]
+    return Map(
+        "corners", canvas, found, ("corner", "keys", "peak, mm", "what became of it", "advice"), body, figures, broken
+    )

@@ -1,4 +1,5 @@
 """What a map hands back, and how its field of dots is drawn."""
+
 from dataclasses import dataclass, field
 
 from matplotlib.figure import Figure
@@ -39,11 +40,26 @@ def dots(axes, x, y, causes, size: float = 42.0) -> None:
         chosen = [k for k, each in enumerate(causes) if each == cause]
         place = [x[k] for k in chosen], [y[k] for k in chosen]
         if cause:
-            axes.scatter(*place, s=size, color=CAUSES[cause], marker="X", linewidths=0.4, edgecolors="white",
-                         label=f"stopped: {NAMES[cause]}", zorder=3)
+            axes.scatter(
+                *place,
+                s=size,
+                color=CAUSES[cause],
+                marker="X",
+                linewidths=0.4,
+                edgecolors="white",
+                label=f"stopped: {NAMES[cause]}",
+                zorder=3,
+            )
         else:
-            axes.scatter(*place, s=size, facecolors="white", edgecolors=CAUSES["taut and sound"], linewidths=1.6,
-                         label="ran to its end", zorder=3)
+            axes.scatter(
+                *place,
+                s=size,
+                facecolors="white",
+                edgecolors=CAUSES["taut and sound"],
+                linewidths=1.6,
+                label="ran to its end",
+                zorder=3,
+            )
 
 
 def finish(axes, title: str, x: str, y: str, *, log: str = "", legend: str = "best", ticks=None) -> None:

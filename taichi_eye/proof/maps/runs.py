@@ -1,4 +1,5 @@
 """Short runs of a coarse eye, with keys set beyond what a scene file may hold, and what became of them."""
+
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -16,11 +17,27 @@ from taichi_eye.solver.simulation import Simulation, cloud_of
 COARSE = {"numerics.spacing_mm": 0.28, "numerics.sound_speed_m_s": 40.0}
 
 # what a stop is about, in a word, and the colour of its dot
-CAUSES = {"taut and sound": "#3d8b57", "slack": "#c9641a", "back": "#a88a1a", "cross": "#8c3a8c", "singular": "#4c5560",
-          "finite": "#8a2030", "viscosity": "#2a9d9d", "energy": "#b03a48", "converge": "#14539a"}
-NAMES = {"slack": "cornea went slack", "back": "reached the back", "cross": "nodes about to cross",
-         "singular": "stencil singular", "finite": "not finite", "viscosity": "viscous loss not balanced", "energy": "energy grew without work",
-         "converge": "iteration did not converge"}
+CAUSES = {
+    "taut and sound": "#3d8b57",
+    "slack": "#c9641a",
+    "back": "#a88a1a",
+    "cross": "#8c3a8c",
+    "singular": "#4c5560",
+    "finite": "#8a2030",
+    "viscosity": "#2a9d9d",
+    "energy": "#b03a48",
+    "converge": "#14539a",
+}
+NAMES = {
+    "slack": "cornea went slack",
+    "back": "reached the back",
+    "cross": "nodes about to cross",
+    "singular": "stencil singular",
+    "finite": "not finite",
+    "viscosity": "viscous loss not balanced",
+    "energy": "energy grew without work",
+    "converge": "iteration did not converge",
+}
 
 _clouds: dict[tuple, Cloud] = {}
 
@@ -62,8 +79,11 @@ def scene_with(keys: dict, base: dict | None = None) -> Scene:
     """
     every = {**(COARSE if base is None else base), **keys}
     free = lambda name: name.startswith("numerics.") and name != "numerics.spacing_mm" or name == "cornea.density_kg_m3"
-    scene = load_scene(None, [f"{name}={value}" for name, value in every.items() if not free(name)]
-                       + [f"{name}={every[name]}" for name in ("numerics.duration_ms",) if name in every])
+    scene = load_scene(
+        None,
+        [f"{name}={value}" for name, value in every.items() if not free(name)]
+        + [f"{name}={every[name]}" for name in ("numerics.duration_ms",) if name in every],
+    )
     for name, value in every.items():
         if free(name):
             section, field = name.split(".")

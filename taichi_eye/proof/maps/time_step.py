@@ -7,12 +7,13 @@ velocity the dissipation damps at d, both lagged. Its multipliers have product (
 (w dt)^2/4 + d dt/2 = 1, the limit of a mode damped in one variable only, lies beyond it. w and d are measured with the
 solver's kernels: w^2 is the spectral radius of rho c^2 div (grad p / rho) between rigid walls, d that of alpha c h P.
 
-A sample of the traces holds a whole number of steps, some 16 at cfl 1 here, so the steps taken are up to 6 % shorter than
-the cfl asked for.
+A sample of the traces holds a whole number of steps, some 16 at cfl 1 here, so the steps taken are up to 6 % shorter
+than the cfl asked for.
 """
-import numpy as np
-import taichi as ti
 
+import numpy as np
+
+from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.proof.maps.result import Map, dots, finish, panels
 from taichi_eye.proof.maps.runs import cloud_for, run, scene_with
 from taichi_eye.solver import timestep
@@ -49,7 +50,7 @@ class Radii:
         for i in range(walls):
             self.cornea.velocity[i] = zero
         ti.loop_config(serialize=True)
-        for once in range(1):
+        for _ in range(ONE_TASK):
             self.aqueous.dissipation_length[0] = 0.0
         for i in range(nodes):
             self.aqueous.kick(0, i, 1.0, self.cornea.velocity)
@@ -60,7 +61,7 @@ class Radii:
         for i in range(nodes):
             after[i] = self.aqueous.density0[0] * self.aqueous.sound_speed[0] ** 2 * self.aqueous.divergence[i]
         ti.loop_config(serialize=True)
-        for once in range(1):
+        for _ in range(ONE_TASK):
             self.aqueous.dissipation_length[0] = length
 
     @ti.kernel
@@ -85,7 +86,7 @@ class Radii:
             grown.append(np.linalg.norm(after))
             vector, after = after.copy(), vector
         # a pair of equal moduli makes the growth swing; its mean over the tail does not
-        return float(np.exp(np.mean(np.log(grown[SWEEPS // 2:]))))
+        return float(np.exp(np.mean(np.log(grown[SWEEPS // 2 :]))))
 
     def measure(self) -> tuple[float, float]:
         """w [rad/s] and, for the dissipation of the scene, d [1/s]."""
@@ -118,20 +119,29 @@ def time_step(say=print) -> Map:
     for dissipation in DISSIPATION:
         row = [run({**PUFF, "numerics.cfl": cfl, "numerics.dissipation": dissipation}) for cfl in CFL]
         outcomes += row
-        say(f"  dissipation {dissipation:4.2f}: " + " ".join(f"{cfl:g}{'' if each.stop is None else '!'}"
-                                                             for cfl, each in zip(CFL, row)) + "   (! stopped)")
+        say(
+            f"  dissipation {dissipation:4.2f}: "
+            + " ".join(f"{cfl:g}{'' if each.stop is None else '!'}" for cfl, each in zip(CFL, row))
+            + "   (! stopped)"
+        )
     broken, border = [], {}
     for each in outcomes:
         numerics = each.scene.numerics
         off = abs(each.apex.peak / base.apex.peak - 1.0)
         if each.stop is None and (off > 0.02 or each.energy_share > 0.03):
-            broken.append(f"cfl {numerics.cfl:g}, dissipation {numerics.dissipation:g}: ran on, peak {100 * off:.1f} % "
-                          f"off, energy error {100 * each.energy_share:.1f} %")
+            broken.append(
+                f"cfl {numerics.cfl:g}, dissipation {numerics.dissipation:g}: ran on, peak {100 * off:.1f} % "
+                f"off, energy error {100 * each.energy_share:.1f} %"
+            )
         if each.stop is None:
             border[numerics.dissipation] = max(border.get(numerics.dissipation, 0.0), numerics.cfl)
     canvas, ((left, right),) = panels(2)
-    dots(left, [each.scene.numerics.dissipation for each in outcomes], [each.scene.numerics.cfl for each in outcomes],
-         [each.cause for each in outcomes])
+    dots(
+        left,
+        [each.scene.numerics.dissipation for each in outcomes],
+        [each.scene.numerics.cfl for each in outcomes],
+        [each.cause for each in outcomes],
+    )
     fine = np.linspace(0.0, 1.0, 101)
     predicted = {}
     for (label, (w, per_unit, figures)), colour in zip(places.items(), ("#14539a", "#c9641a")):
@@ -143,28 +153,62 @@ def time_step(say=print) -> Map:
                 line.append(step / limit)
         left.plot(fine, lines[0], color=colour, label=f"(w + d) dt = 2, {label}")
         left.plot(fine, lines[1], color=colour, linestyle="--", label="(w dt)$^2$/4 + d dt/2 = 1")
-        predicted[label] = {"w_c_per_h": w / unit, "d_c_per_h_per_unit": per_unit / unit,
-                            "cfl_at_0.5": [float(np.interp(0.5, fine, line)) for line in lines]}
+        predicted[label] = {
+            "w_c_per_h": w / unit,
+            "d_c_per_h_per_unit": per_unit / unit,
+            "cfl_at_0.5": [float(np.interp(0.5, fine, line)) for line in lines],
+        }
     left.axhline(1.0, color="#22262b", linewidth=1, linestyle=":", label="cfl = 1, the most a scene may ask for")
     left.axvspan(-0.03, 0.225, color="#b03a48", alpha=0.06, label="grows at any step (spectrum)")
     left.set_ylim(0.3, 3.0)
-    finish(left, f"{PUFF['puff.duration_ms']:g} ms puff, h 0.28 mm, c 120 m/s", "dissipation (c h)",
-           "time step over the solver's stable step (cfl)", legend="upper right")
+    finish(
+        left,
+        f"{PUFF['puff.duration_ms']:g} ms puff, h 0.28 mm, c 120 m/s",
+        "dissipation (c h)",
+        "time step over the solver's stable step (cfl)",
+        legend="upper right",
+    )
     for dissipation, colour in zip((0.0, 0.2, 0.3, 0.5, 1.0), ("#b03a48", "#c9641a", "#a88a1a", "#3d8b57", "#14539a")):
         chosen = [each for each in outcomes if each.scene.numerics.dissipation == dissipation]
-        right.plot(CFL, [each.stop.time_ms if each.stop else PUFF["numerics.duration_ms"] for each in chosen], "o-",
-                   color=colour, markersize=4, label=f"dissipation {dissipation:g}")
+        right.plot(
+            CFL,
+            [each.stop.time_ms if each.stop else PUFF["numerics.duration_ms"] for each in chosen],
+            "o-",
+            color=colour,
+            markersize=4,
+            label=f"dissipation {dissipation:g}",
+        )
     right.axhline(PUFF["numerics.duration_ms"], color="#22262b", linewidth=1, linestyle=":", label="end of the run")
     finish(right, "when the guard stops it", "cfl", "simulated time reached (ms)")
     stable = [a for a in DISSIPATION if border.get(a, 0.0) >= 1.0]
     first = places["at rest"]
-    found = [f"Measured radii at rest: w = {first[0] / unit:.2f} c/h, d = {first[1] / unit:.2f} dissipation c/h.",
-             f"With dissipation {min(stable, default=float('nan')):g} and above every cfl up to 1 runs; below it no time step "
-             "helps: the semi-discrete system itself grows (see the spectrum)." if stable else
-             "No dissipation was stable at cfl 1.",
-             "Largest cfl that ran: " + ", ".join(f"{border[a]:g} at {a:g}" for a in stable) + "."]
+    found = [
+        f"Measured radii at rest: w = {first[0] / unit:.2f} c/h, d = {first[1] / unit:.2f} dissipation c/h.",
+        f"With dissipation {min(stable, default=float('nan')):g} and above every cfl up to 1 "
+        "runs; below it no time step "
+        "helps: the semi-discrete system itself grows (see the spectrum)."
+        if stable
+        else "No dissipation was stable at cfl 1.",
+        "Largest cfl that ran: " + ", ".join(f"{border[a]:g} at {a:g}" for a in stable) + ".",
+    ]
     head = ("dissipation", *(f"cfl {cfl:g}" for cfl in CFL))
-    body = [(f"{a:g}", *("ran" if each.stop is None else f"{each.cause} {each.stop.time_ms:.1f} ms" for each in outcomes
-                         if each.scene.numerics.dissipation == a)) for a in DISSIPATION]
-    return Map("time-step", canvas, found, head, body,
-               {"largest_cfl": {f"{a:g}": value for a, value in border.items()}, "predicted": predicted}, broken)
+    body = [
+        (
+            f"{a:g}",
+            *(
+                "ran" if each.stop is None else f"{each.cause} {each.stop.time_ms:.1f} ms"
+                for each in outcomes
+                if each.scene.numerics.dissipation == a
+            ),
+        )
+        for a in DISSIPATION
+    ]
+    return Map(
+        "time-step",
+        canvas,
+        found,
+        head,
+        body,
+        {"largest_cfl": {f"{a:g}": value for a, value in border.items()}, "predicted": predicted},
+        broken,
+    )
