@@ -34,11 +34,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from taichi_eye.errors import RunStopped
-from taichi_eye.eye.section import Section
+from taichi_eye.eye.eye import eye_of
 from taichi_eye.ladder.misfit import misfit
 from taichi_eye.ladder.rungs import with_numerics
 from taichi_eye.scene import Scene
-from taichi_eye.solver.reduced import Reduced
+from taichi_eye.solver.reduced import Cavity, Reduced, ThinLayer
 from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
 
 PILOT = 8  # elements of the coarsest pilots
@@ -136,8 +136,8 @@ class _Climb:
     def _run(self, model, elements, scene=None, **numerics) -> Reduced:
         """A finished run of a reduced model; _Refused where it leaves its validity."""
         spacing = self.length_mm / elements
-        named = "added_mass" if model == "layer" else model
-        simulation = Reduced(with_numerics(scene or self.scene, fidelity=named, spacing_mm=spacing, **numerics), model)
+        named = "added_mass" if model is ThinLayer else model.__name__.lower()
+        simulation = model(with_numerics(scene or self.scene, fidelity=named, spacing_mm=spacing, **numerics))
         try:
             simulation.run()
         except RunStopped as stop:
@@ -149,7 +149,7 @@ class _Climb:
     def _pilot(self, *model, **numerics) -> _Pilot:
         """What is kept of such a run: the next pilot takes over its fields and kernels."""
         simulation = self._run(*model, **numerics)
-        return _Pilot(simulation.traces, viscous_share(simulation) if model[0] == "layer" else 0.0)
+        return _Pilot(simulation.traces, viscous_share(simulation) if model[0] == ThinLayer else 0.0)
 
     def _apart(self, one, other) -> float:
         return misfit(one.traces, other.traces).of(self.numerics.tolerance_on)
@@ -166,12 +166,12 @@ class _Climb:
     def _uniform(self) -> bool:
         """membrane and cavity: no flow."""
         tolerance, sealed = self.numerics.tolerance_percent, self.scene.chamber.sealed
-        rough, thin = self._pilot("cavity", PILOT), self._pilot("layer", PILOT, refresh_travel=10.0)
+        rough, thin = self._pilot(Cavity, PILOT), self._pilot(ThinLayer, PILOT, refresh_travel=10.0)
         self.inertia, self.viscous = self._apart(rough, thin), thin.viscous
         if self.inertia + self.viscous > self.allowed:
             self.choice.estimates["cavity"] = {"inertia": self.inertia, "viscosity": self.viscous}
             return False
-        run = self._run("cavity", OFFERED)
+        run = self._run(Cavity, OFFERED)
         full = _Pilot(run.traces, 0.0)
         space, size = self._apart(full, rough) / 15.0, self.length_mm / OFFERED
         errors = {"inertia": self.inertia, "viscosity": self.viscous, "space": space}
@@ -197,10 +197,10 @@ class _Climb:
         tolerance = self.numerics.tolerance_percent
         # where eight elements blew up, they ring too coarsely to tell
         elements = PILOT if self.inertia is not None else 2 * PILOT
-        coarse, often = self._pilot("layer", elements), self._pilot("layer", elements, refresh_travel=0.25)
-        fine = self._pilot("layer", 2 * elements)
+        coarse, often = self._pilot(ThinLayer, elements), self._pilot(ThinLayer, elements, refresh_travel=0.25)
+        fine = self._pilot(ThinLayer, 2 * elements)
         if self.inertia is None:
-            self.inertia = self._apart(self._pilot("cavity", elements), coarse)
+            self.inertia = self._apart(self._pilot(Cavity, elements), coarse)
         size = self.length_mm / elements
         self.space, self.size = self._apart(fine, coarse) / 3.0, 0.5 * size
         age = 2.0 * self._apart(coarse, often) / 0.25  # per spacing of travel at `size`
@@ -255,11 +255,11 @@ class _Climb:
         """The cheapest of SPEEDS with the spacing it leaves: time expected [s], c, spacing [mm], errors by space and
         sound."""
         try:
-            volume = Section.from_scene(self.scene).volume()
+            volume = eye_of(self.scene).section.volume()
             give = volume / (self.scene.aqueous.density_kg_m3 * PILOT_C**2) / MM3 * MMHG
             chamber = replace(self.scene.chamber, compliance_mm3_mmhg=self.scene.chamber.compliance_mm3_mmhg + give)
             soft = self._apart(
-                self._pilot("cavity", PILOT, replace(self.scene, chamber=chamber)), self._pilot("cavity", PILOT)
+                self._pilot(Cavity, PILOT, replace(self.scene, chamber=chamber)), self._pilot(Cavity, PILOT)
             )
         except _Refused:
             soft = 1.0  # what the default eye has

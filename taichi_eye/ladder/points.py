@@ -103,7 +103,7 @@ def run_point(scene: Scene, setting: Setting, repeats: int | None = None) -> Poi
         simulation, whole, solver, stopped = _try(applied)
         times.append((whole, solver))
         wanted = repeats or (5 if whole < 0.3 else 3 if whole < 2.0 else 1)
-        traces = simulation.arrays()
+        traces = simulation.traces
         nodes = simulation.cloud.count if simulation.cloud is not None else simulation.wall_count
         steps = simulation.steps
         # the next run takes over its fields and kernels

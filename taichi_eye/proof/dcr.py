@@ -22,8 +22,7 @@ from tqdm import tqdm
 from taichi_eye.analysis import Response, curves_from_wall, respond
 from taichi_eye.analysis.norms import NORMS, z_scores
 from taichi_eye.errors import RunStopped, SceneError
-from taichi_eye.eye.globe import retreat_mm
-from taichi_eye.eye.puff import Puff
+from taichi_eye.eye.eye import eye_of
 from taichi_eye.ladder.choose import choose
 from taichi_eye.ladder.rungs import simulation_of
 from taichi_eye.proof.clinic import SLOPES
@@ -75,12 +74,12 @@ def response_of(scene: Scene) -> Outcome:
     """Run a scene without a film and read the DCR parameters from its wall."""
     if scene.numerics.fidelity == "auto":
         scene = choose(scene).scene
-    times, walls, puff, stopped = [], [], Puff.from_scene(scene), ""
+    times, walls, puff, stopped = [], [], eye_of(scene).puff, ""
 
     def keep(eye, frame):
         wall = eye.cornea.place.to_numpy()[: eye.wall_count] / MM
         times.append(eye.time_ms)
-        walls.append(wall - [0.0, float(retreat_mm(scene, eye.time_ms))])
+        walls.append(wall - [0.0, float(eye.eye.retreat(eye.time_ms * MS)) / MM])
 
     try:
         simulation_of(scene).run(keep)

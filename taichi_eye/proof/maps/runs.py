@@ -12,7 +12,8 @@ from taichi_eye.errors import RunStopped
 from taichi_eye.report.history import History, summarise
 from taichi_eye.scene import Scene, load_scene
 from taichi_eye.solver import guards
-from taichi_eye.solver.simulation import Simulation, cloud_of
+from taichi_eye.solver.case import cloud_of
+from taichi_eye.solver.simulation import Simulation
 
 COARSE = {"numerics.spacing_mm": 0.28, "numerics.sound_speed_m_s": 40.0}
 
@@ -110,7 +111,7 @@ def run(keys: dict, base: dict | None = None, kind: type[Simulation] = Simulatio
     except RunStopped as caught:
         # without its traceback, which would hold on to the fields that the next run takes over
         stop = caught.with_traceback(None)
-    return Outcome(scene, simulation.arrays(), stop, time.perf_counter() - started, simulation.steps)
+    return Outcome(scene, simulation.traces, stop, time.perf_counter() - started, simulation.steps)
 
 
 @contextmanager
