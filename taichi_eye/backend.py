@@ -14,7 +14,7 @@ import io
 import os
 import weakref
 
-from taichi_eye.lang import NAME, cache_options, program, ti
+from taichi_eye.lang import CACHE, CACHE_NOTE, NAME, cache_options, program, ti
 
 if NAME == "taichi":
     # quadrants has a shorter front end of its own
@@ -53,7 +53,10 @@ def init(arch: str = "cpu", precision: str = "f64", threads: int | None = None, 
         )
     if arch in ("vulkan", "metal") and precision == "f64":
         raise BackendError(f"--arch {arch} computes in f32 only; add --precision f32")
-    options = {} if threads is None else {"cpu_max_num_threads": threads}
+    refuse_homeless()
+    options = cache_options()
+    if threads is not None:
+        options["cpu_max_num_threads"] = threads
     _active.clear()
     _program = None
     with contextlib.redirect_stdout(io.StringIO()):
@@ -63,7 +66,6 @@ def init(arch: str = "cpu", precision: str = "f64", threads: int | None = None, 
             default_ip=ti.i32,
             fast_math=False,
             debug=debug,
-            **cache_options(),
             **options,
         )
     got = ti.lang.impl.current_cfg().arch
@@ -73,6 +75,12 @@ def init(arch: str = "cpu", precision: str = "f64", threads: int | None = None, 
     _active.update(wanted)
     _program = weakref.ref(program())
     _generation += 1
+
+
+def refuse_homeless() -> None:
+    """BackendError where no folder can be had for compiled kernels: the language would end the process without one."""
+    if CACHE is None:
+        raise BackendError(CACHE_NOTE)
 
 
 def _there() -> bool:

@@ -2,14 +2,15 @@
 
 The rule is that of the XDG base directories: `XDG_CACHE_HOME` where it is an absolute path, else `~/.cache`, `~` being
 HOME or, without it, the home of the account. Where nothing can be written there, a folder of one's own among the
-temporary ones: it belongs to this user and is closed to others, since what is kept in it is run. Where there is not
-even that, nothing is kept.
+temporary ones: it belongs to this user and is closed to others, since what is kept in it is run.
 """
 
 import os
 import stat
 import tempfile
 from pathlib import Path
+
+SHARED_MEMORY = "/dev/shm"  # can be written where all disks are read-only
 
 
 def kept_at() -> Path | None:
@@ -36,12 +37,13 @@ def writable(folder: Path) -> bool:
 
 def temporary() -> Path | None:
     """This user's own folder among the temporary ones, the same from run to run; None where none can be had."""
-    try:
-        folder = Path(tempfile.gettempdir()) / f"taichi_eye-{os.getuid()}"
-        folder.mkdir(mode=0o700, exist_ok=True)
-        held = folder.lstat()
-        if stat.S_ISDIR(held.st_mode) and held.st_uid == os.getuid() and not held.st_mode & 0o022 and writable(folder):
-            return folder
-        return Path(tempfile.mkdtemp(prefix="taichi_eye-"))
-    except OSError:
-        return None
+    for parent in (tempfile.gettempdir, lambda: SHARED_MEMORY):
+        try:
+            folder = Path(parent()) / f"taichi_eye-{os.getuid()}"
+            folder.mkdir(mode=0o700, exist_ok=True)
+            held = folder.lstat()
+            own = stat.S_ISDIR(held.st_mode) and held.st_uid == os.getuid() and not held.st_mode & 0o022
+            return folder if own and writable(folder) else Path(tempfile.mkdtemp(prefix="taichi_eye-"))
+        except OSError:
+            continue
+    return None

@@ -173,6 +173,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     given = parser().parse_args(arguments)
     try:
+        backend.refuse_homeless()
         return given.do(given)
     except (SceneError, FilmError, backend.BackendError) as error:
         print(f"taichi-eye: {error}", file=sys.stderr)

@@ -36,7 +36,7 @@ def _chosen() -> str:
 
 
 def _cache(name: str) -> tuple[Path | None, str]:
-    """The folder for compiled kernels (None: they cannot be kept), and what to tell the user of it."""
+    """The folder for compiled kernels (None: there is none to be had), and what to tell the user of it."""
     named = os.environ.get(f"{PREFIXES[name]}_OFFLINE_CACHE_FILE_PATH")
     usual = caches.kept_at()
     if not os.path.isabs(os.environ.get("XDG_CACHE_HOME", os.environ.get("HOME", ""))):
@@ -48,7 +48,7 @@ def _cache(name: str) -> tuple[Path | None, str]:
     spare = caches.temporary()
     told = f"compiled kernels cannot be kept in {folder}" if folder else "no home folder for compiled kernels"
     if spare is None:
-        return None, f"{told}, nor anywhere else: every process compiles them anew"
+        return None, f"{told}, nor in a temporary folder; name a folder that can be written with XDG_CACHE_HOME"
     if not named:
         os.environ.setdefault("MPLCONFIGDIR", str(spare / "matplotlib"))  # it would warn that it finds no folder either
     return spare / name / CACHE_FOLDERS[name], f"{told}; they are kept in {spare}"
@@ -83,8 +83,6 @@ def cache_options() -> dict:
     if CACHE_NOTE and sys.stderr is not None:
         print(f"taichi-eye: {CACHE_NOTE}", file=sys.stderr)
     CACHE_NOTE = ""
-    if CACHE is None:
-        return {"offline_cache": False}
     if os.environ.get(CACHE_VARIABLE) == str(CACHE):
         return {"offline_cache": True}  # read from there
     return {"offline_cache": True, "offline_cache_file_path": str(CACHE)}

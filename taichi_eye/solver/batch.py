@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from tqdm import tqdm
 
+from taichi_eye import backend
 from taichi_eye.cloud.packing import Cloud, pack
 from taichi_eye.errors import RunStopped, SceneError
 from taichi_eye.eye.puff import Puff, Puffs
@@ -89,6 +90,7 @@ class Batch:
         counts = [cloud.count for cloud in self.clouds]
         self.first = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(int)
         eyes = len(self.scenes)
+        self.generation = backend.generation()
         workspace = borrow(self, sum(counts), eyes, bases.pop())
         self.cornea, self.aqueous, self.coupling = workspace.cornea, workspace.aqueous, workspace.coupling
         self.survey, self.sampler = workspace.survey, workspace.sampler
@@ -227,6 +229,7 @@ class Batch:
 
     def advance(self) -> bool:
         """Take every eye that runs to its next sample; False where none has one."""
+        backend.refuse_lost(self.generation)
         self._eyes = eyes = np.flatnonzero(self._going & (self.sample < self.samples))
         if not len(eyes):
             return False
@@ -250,6 +253,7 @@ class Batch:
     def record(self) -> None:
         """Look at the eyes that were advanced last: add to their traces, stop what left its validity, rebuild
         weights."""
+        backend.refuse_lost(self.generation)
         eyes, figures = self._eyes, self._figures
         self._largest_work = np.fmax(self._largest_work, np.abs(figures["puff_work"]))
         gained = _stored(figures) - figures["puff_work"]

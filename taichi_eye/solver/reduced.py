@@ -80,7 +80,8 @@ class Reduced:
             self.cloud = pack(self.section, self.spacing)
         self.wall_count = cornea_elements(self.section, self.spacing) + 1
         size = capacity(self.wall_count, 16)
-        wall = reuse(self, (backend.generation(), "wall", size, self.flowing), lambda: _Wall(size, self.flowing))
+        self.generation = backend.generation()
+        wall = reuse(self, (self.generation, "wall", size, self.flowing), lambda: _Wall(size, self.flowing))
         self.cornea, self.stepper = wall.cornea, wall.stepper
         self._liquid, self._layer = None, LayerFlow(self.cornea, self.section)
         self._neumann, self._refreshed_ms, self._filmed_ms = None, 0.0, 0.0
@@ -153,6 +154,7 @@ class Reduced:
         A run that has been made is only shown. Returns the traces as arrays. Raises RunStopped where the model leaves
         its validity, after the frames up to there; `traces` keeps what was computed.
         """
+        backend.refuse_lost(self.generation)
         self._advance()
         if on_frame or on_sample:
             for frame in range(len(self.wall_mm[0])):
@@ -229,7 +231,7 @@ class Reduced:
                 self.cloud = pack(self.section, self.spacing)
             size = capacity(self.cloud.count)
             self._liquid = reuse(
-                self, (backend.generation(), "liquid", self.cornea, size), lambda: _Liquid(self.cornea, size)
+                self, (self.generation, "liquid", self.cornea, size), lambda: _Liquid(self.cornea, size)
             )
             aqueous = self.scene.aqueous
             self._liquid.aqueous.setup(
@@ -247,6 +249,7 @@ class Reduced:
 
         Potential flow under the wall's motion at that frame (see the head of this module).
         """
+        backend.refuse_lost(self.generation)
         flow, fields = self._flow(), self._liquid.aqueous
         wall = self.frames[self.sample // self.samples_per_frame]
         place, velocity, acceleration = wall[:, :2], wall[:, 2:4], wall[:, 4:6]
