@@ -1,7 +1,6 @@
 """Starts of the kernel language: what is there after another one, after somebody else's, and after a fork."""
 
 import pytest
-
 from processes import python
 
 SCENE = """

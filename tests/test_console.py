@@ -3,8 +3,8 @@
 import os
 
 import pytest
-
 from processes import python
+
 from taichi_eye import cli, console
 
 FULL = "/dev/full"

@@ -5,10 +5,10 @@ import stat
 from pathlib import Path
 
 import pytest
+from processes import python
 
 from taichi_eye import caches
 from taichi_eye.lang import CACHE_VARIABLE, NAME, NAMES
-from processes import python
 
 USUAL = Path(NAME) / {"taichi": "ticache", "quadrants": "qdcache"}[NAME]
 SCRIPT = """
