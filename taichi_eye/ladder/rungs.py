@@ -12,11 +12,9 @@
 All share scene, cornea, puff, film and traces; all but `mfpm` are `taichi_eye.solver.reduced`.
 """
 
-from dataclasses import replace
-
 from taichi_eye.cloud.packing import Cloud
 from taichi_eye.scene import Scene
-from taichi_eye.scene.resolve import REFRESH_TRAVEL
+from taichi_eye.scene.schema import AUTO
 from taichi_eye.solver.reduced import Reduced
 from taichi_eye.solver.simulation import Simulation
 
@@ -29,10 +27,10 @@ def with_numerics(scene: Scene, **changes) -> Scene:
     Unless given, a new fidelity brings its own refresh_travel, and a new sound speed is that of the mean pressure, too.
     """
     if "fidelity" in changes:
-        changes.setdefault("refresh_travel", REFRESH_TRAVEL[changes["fidelity"] == "added_mass"])
+        changes.setdefault("refresh_travel", AUTO)
     if "sound_speed_m_s" in changes:
-        changes.setdefault("mean_sound_speed_m_s", changes["sound_speed_m_s"])
-    return replace(scene, numerics=replace(scene.numerics, **changes))
+        changes.setdefault("mean_sound_speed_m_s", AUTO)
+    return scene.but({f"numerics.{name}": value for name, value in changes.items()})
 
 
 def simulation_of(scene: Scene, cloud: Cloud | None = None) -> Simulation | Reduced:

@@ -274,8 +274,8 @@ class Output:
 
 
 @dataclass(frozen=True)
-class Scene:
-    """A resolved scene: one attribute per section, each with one attribute per key, all values filled in."""
+class Sections:
+    """One attribute per section, each with one attribute per key; `taichi_eye.scene.scene.Scene` fills them in."""
 
     eye: Eye
     cornea: Cornea
@@ -287,7 +287,7 @@ class Scene:
     output: Output
 
 
-SECTIONS: dict[str, type] = {section.name: section.type for section in fields(Scene)}
+SECTIONS: dict[str, type] = {section.name: section.type for section in fields(Sections)}
 
 
 def keys_of(section: str) -> dict[str, tuple[type, Key]]:
