@@ -7,6 +7,7 @@ documentation all read the `Key` that stands in the field's metadata. To add a k
 # No `from __future__ import annotations` here: the loader reads the field types as classes.
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
+from functools import cache
 from typing import Any
 
 AUTO = "auto"  # as a value: compute this key from the others
@@ -290,6 +291,7 @@ class Sections:
 SECTIONS: dict[str, type] = {section.name: section.type for section in fields(Sections)}
 
 
+@cache
 def keys_of(section: str) -> dict[str, tuple[type, Key]]:
     """The keys of a section by name: (type, Key)."""
     return {f.name: (f.type, f.metadata["key"]) for f in fields(SECTIONS[section])}
