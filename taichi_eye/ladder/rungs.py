@@ -1,10 +1,9 @@
 """From a scene to the rung that computes it (`taichi_eye.rungs`)."""
 
-from dataclasses import replace
-
 from taichi_eye.cloud.packing import Cloud
-from taichi_eye.rungs import RUNGS, refresh_travel
+from taichi_eye.rungs import RUNGS
 from taichi_eye.scene import Scene
+from taichi_eye.scene.schema import AUTO
 
 
 def with_numerics(scene: Scene, **changes) -> Scene:
@@ -13,10 +12,10 @@ def with_numerics(scene: Scene, **changes) -> Scene:
     Unless given, a new fidelity brings its own refresh_travel, and a new sound speed is that of the mean pressure, too.
     """
     if "fidelity" in changes:
-        changes.setdefault("refresh_travel", refresh_travel(changes["fidelity"]))
+        changes.setdefault("refresh_travel", AUTO)
     if "sound_speed_m_s" in changes:
-        changes.setdefault("mean_sound_speed_m_s", changes["sound_speed_m_s"])
-    return replace(scene, numerics=replace(scene.numerics, **changes))
+        changes.setdefault("mean_sound_speed_m_s", AUTO)
+    return scene.but({f"numerics.{name}": value for name, value in changes.items()})
 
 
 def simulation_of(scene: Scene, cloud: Cloud | None = None):

@@ -7,6 +7,7 @@ documentation all read the `Key` that stands in the field's metadata. To add a k
 # No `from __future__ import annotations` here: the loader reads the field types as classes.
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
+from functools import cache
 from typing import Any
 
 from taichi_eye.rungs import RUNGS
@@ -276,8 +277,8 @@ class Output:
 
 
 @dataclass(frozen=True)
-class Scene:
-    """A resolved scene: one attribute per section, each with one attribute per key, all values filled in."""
+class Sections:
+    """One attribute per section, each with one attribute per key; `taichi_eye.scene.scene.Scene` fills them in."""
 
     eye: Eye
     cornea: Cornea
@@ -289,9 +290,10 @@ class Scene:
     output: Output
 
 
-SECTIONS: dict[str, type] = {section.name: section.type for section in fields(Scene)}
+SECTIONS: dict[str, type] = {section.name: section.type for section in fields(Sections)}
 
 
+@cache
 def keys_of(section: str) -> dict[str, tuple[type, Key]]:
     """The keys of a section by name: (type, Key)."""
     return {f.name: (f.type, f.metadata["key"]) for f in fields(SECTIONS[section])}

@@ -15,12 +15,11 @@ h_wall. These take the whole added mass at once; an explicit compressible step n
 """
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
 from taichi_eye.proof.maps.result import Map, dots, finish, panels
-from taichi_eye.proof.maps.runs import COARSE, cloud_for, run, scene_with
+from taichi_eye.proof.maps.runs import COARSE, cause, cloud_for, run, scene_with
 from taichi_eye.solver import timestep
 from taichi_eye.solver.case import case_of
 from taichi_eye.solver.figures import RUNNING
@@ -166,11 +165,11 @@ def coupling(say=print) -> Map:
     ratios = np.geomspace(0.7 * MASS_RATIOS[0], 1.4 * MASS_RATIOS[-1], 60)
     peaks = {}
     for panel, (way, outcomes) in zip(axes[0, :2], grid.items()):
-        dots(panel, [r for r, _, _ in outcomes], [s for _, s, _ in outcomes], [o.cause for _, _, o in outcomes])
+        dots(panel, [r for r, _, _ in outcomes], [s for _, s, _ in outcomes], [cause(o) for _, _, o in outcomes])
         q_one, in_plane, used = [], [], []
         for ratio in ratios:
             density = ratio * 1000.0 * h / thickness
-            light_scene = replace(scene, cornea=replace(scene.cornea, density_kg_m3=density))
+            light_scene = scene_with({**BASE, "cornea.density_kg_m3": density})
             q_one.append(1.0 / math.sqrt(theory(acoustic, gap, light_scene)))
             in_plane.append(rest["membrane_step"] * math.sqrt(density / scene.cornea.density_kg_m3) / acoustic)
             heavier = dict(
@@ -303,17 +302,14 @@ def coupling(say=print) -> Map:
         for way, outcomes in grid.items()
         for r, s, o in outcomes
         if o.stop is None
-        and theory(
-            s * acoustic, gap, replace(scene, cornea=replace(scene.cornea, density_kg_m3=r * 1000.0 * h / thickness))
-        )
-        > 1.5
+        and theory(s * acoustic, gap, scene_with({**BASE, "cornea.density_kg_m3": r * 1000.0 * h / thickness})) > 1.5
     ]
     broken += [f"{way}, mass ratio {r:g}, dt {s:g}: q above 1.5 and no stop" for way, r, s in late]
     body = [
         (
             way,
             f"{r:g}",
-            *("ran" if o.stop is None else f"{o.cause} {o.stop.time_ms:.3f} ms" for rr, _, o in outcomes if rr == r),
+            *("ran" if o.stop is None else f"{cause(o)} {o.stop.time_ms:.3f} ms" for rr, _, o in outcomes if rr == r),
         )
         for way, outcomes in grid.items()
         for r in MASS_RATIOS
