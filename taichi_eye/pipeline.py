@@ -17,7 +17,6 @@ from tqdm import tqdm
 
 from taichi_eye import backend
 from taichi_eye.errors import RunStopped
-from taichi_eye.eye.globe import retreat_mm
 from taichi_eye.film import FilmView, FilmWriter, FrameState, write_gif
 from taichi_eye.ladder.choose import Choice, choose
 from taichi_eye.ladder.rungs import needs_cloud, simulation_of
@@ -26,8 +25,8 @@ from taichi_eye.report.folder import create_run_folder, refuse_taken, write_text
 from taichi_eye.report.history import summarise
 from taichi_eye.report.traces import write_traces, write_wall
 from taichi_eye.scene import Scene, dump_scene
-from taichi_eye.solver.simulation import cloud_of
-from taichi_eye.units import MM
+from taichi_eye.solver.case import cloud_of
+from taichi_eye.units import MM, MS
 
 KEPT_FRAMES = 300  # frames held for the sheet and the GIF; a longer film is thinned
 BALANCE_DOUBTED = 0.02  # energy error over the puff's work
@@ -145,7 +144,7 @@ class _Recorder:
 
     def _film(self, simulation, view, film, frame):
         scene, traces = self.scene, simulation.traces
-        retreat = float(retreat_mm(scene, simulation.time_ms))
+        retreat = float(simulation.eye.retreat(simulation.time_ms * MS)) / MM
         place, velocity, pressure, count = simulation.liquid() if needs_cloud(scene) else (None, None, None, 0)
         state = FrameState(
             time_ms=simulation.time_ms,
@@ -181,7 +180,7 @@ class _Recorder:
             )
 
     def _report(self, simulation, stop) -> RunResult:
-        traces = simulation.arrays()
+        traces = simulation.traces
         if not traces:
             return RunResult(self.folder, {}, {})
         # matplotlib's figures are slow to load: not before the film is done

@@ -12,8 +12,7 @@ import numpy as np
 
 from taichi_eye.analysis.curves import curves_from_wall
 from taichi_eye.analysis.response import Response, respond
-from taichi_eye.eye.globe import retreat_mm
-from taichi_eye.eye.puff import Puff
+from taichi_eye.eye.eye import eye_of
 from taichi_eye.ladder.choose import choose
 from taichi_eye.ladder.trial import run_scene
 from taichi_eye.scene import Scene
@@ -34,12 +33,12 @@ def response_of(scene: Scene) -> Reading:
     """Run a resolved scene without a film and read the dynamic corneal response from its wall."""
     if scene.numerics.fidelity == "auto":
         scene = choose(scene).scene
-    times, walls, puff = [], [], Puff.from_scene(scene)
+    times, walls, puff = [], [], eye_of(scene).puff
 
     def keep(eye, frame):
         wall = eye.cornea.place.to_numpy()[: eye.wall_count] / MM
         times.append(eye.time_ms)
-        walls.append(wall - [0.0, float(retreat_mm(scene, eye.time_ms))])
+        walls.append(wall - [0.0, float(eye.eye.retreat(eye.time_ms * MS)) / MM])
 
     stop = run_scene(scene, on_frame=keep).stop
     stopped = f"{stop.what}, {stop.time_ms:.1f} ms" if stop else ""

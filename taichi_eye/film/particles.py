@@ -19,8 +19,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from taichi_eye.backend import real
-from taichi_eye.eye.puff import Puff
-from taichi_eye.eye.section import Section
+from taichi_eye.eye.eye import eye_of
 from taichi_eye.lang import ti
 from taichi_eye.units import KPA, MM, MMHG, MS
 
@@ -61,7 +60,8 @@ class Layout:
     def of(cls, scene) -> "Layout":
         width = 2 * scene.camera.width_px
         unit = width / 1152
-        section = Section.from_scene(scene)
+        eye = eye_of(scene)
+        section = eye.section
         cap, back = section.apex_z / MM, -section.back_z / MM
         panel = 0.68 * width
         above, below = 1.30, 0.12  # mm over the apex for the puff, under the back plane
@@ -104,7 +104,7 @@ class Particles:
         self.ranges = plot_ranges(scene)
         self.peak_kpa = peak_load_kpa(scene)
         self.radii = np.arange(self.surface.count) * self.surface.spacing
-        self.puff_profile = Puff.from_scene(scene).radial(self.radii)
+        self.puff_profile = eye_of(scene).puff.radial(self.radii)
 
         # by columns from the axis outwards, then rows
         self.nearest = ti.field(ti.u32, (self.half, self.height))
@@ -414,7 +414,7 @@ def peak_load_kpa(scene) -> float:
     """Largest load on the apex within the simulated time [kPa], at least 0.1 so that scales exist with the
     puff off."""
     time = np.linspace(0.0, scene.numerics.duration_ms * MS, 2001)
-    return max(float(np.max(Puff.from_scene(scene).pressure_at_apex(time))) / KPA, 0.1)
+    return max(float(np.max(eye_of(scene).puff.pressure_at_apex(time))) / KPA, 0.1)
 
 
 def background(scene, at: Layout, limits: tuple[float, float], ranges: PlotRanges) -> np.ndarray:
@@ -489,7 +489,7 @@ def wall_cover(scene, at: Layout) -> np.ndarray:
     """Coverage by the rigid back (plane or lens), the cylinder above it and the limbus, shape [height,
     width], uint8."""
     fine = 4
-    section = Section.from_scene(scene)
+    section = eye_of(scene).section
     rim, back = scene.cornea.limbus_radius_mm, section.back_z / MM
 
     def place(r, z):

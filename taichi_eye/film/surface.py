@@ -23,8 +23,7 @@ from math import ceil, cos, radians, sin, sqrt
 import numpy as np
 
 from taichi_eye.backend import real
-from taichi_eye.eye.section import Section
-from taichi_eye.eye.thickness import thickness
+from taichi_eye.eye.eye import eye_of
 from taichi_eye.lang import ti
 
 SLOPE_MAX = 4.0  # dz/dr beyond which the table no longer follows an overhang
@@ -47,6 +46,7 @@ class Surface:
 
     def __init__(self, scene):
         cornea, camera = scene.cornea, scene.camera
+        eye = eye_of(scene)
         half_width_px = max(camera.apex_column_px, camera.width_px - camera.apex_column_px)
         half_width_mm = half_width_px * camera.pixel_x_mm
         extent_mm = max(half_width_mm, cornea.limbus_radius_mm) + MARGIN_MM
@@ -61,14 +61,14 @@ class Surface:
         self.flat_ratio = self.cos_angle / self.sin_angle / sqrt(optical * optical - 1.0)
         cap = cornea.limbus_radius_mm / cornea.radius_mm
         self.limbus_slope = max(-cap / sqrt(max(1.0 - cap * cap, 1e-6)), -SLOPE_MAX)
-        self.apex_rest = float(Section.from_scene(scene).apex_z)
+        self.apex_rest = float(eye.section.apex_z)
         self.height = ti.field(real(), self.count)
         self.slope = ti.field(real(), self.count)
         self.posterior = ti.field(real(), self.count)
         self.apparent = ti.field(real(), self.columns)
         self.behind = ti.Vector.field(3, real(), (self.columns, RAYS))
         self.thickness = ti.field(real(), self.count)
-        self.thickness.from_numpy(thickness(scene, np.arange(self.count) * self.spacing))
+        self.thickness.from_numpy(eye.thickness(np.arange(self.count) * self.spacing))
 
     def update(self, wall: ti.MatrixField, wall_count: int) -> None:
         """Resample the wall and trace the posterior surface; gathers only, the same bits on any thread

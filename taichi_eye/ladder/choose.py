@@ -33,14 +33,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from taichi_eye.eye.section import Section
+from taichi_eye.eye.eye import eye_of
 from taichi_eye.ladder.misfit import misfit
 from taichi_eye.ladder.rungs import with_numerics
 from taichi_eye.ladder.trial import run_to_stop
 from taichi_eye.scene import Scene
 from taichi_eye.scene.resolve import coarsest_spacing_mm
 from taichi_eye.scene.schema import AUTO
-from taichi_eye.solver.reduced import Reduced
+from taichi_eye.solver.reduced import Cavity, Reduced, ThinLayer
 from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
 
 PILOT = 8  # elements of the coarsest pilots
@@ -139,9 +139,9 @@ class _Climb:
     def _run(self, model, spacing_mm, changes=None) -> Reduced:
         """A finished run of a reduced model with other changes (see `Scene.but`); _Refused where it leaves its
         validity. The spacing may be coarser than a chamber with nodes would take: there are none."""
-        named = "added_mass" if model == "layer" else model
+        named = "added_mass" if model is ThinLayer else model.__name__.lower()
         own = {"numerics.fidelity": named, "numerics.spacing_mm": spacing_mm, "numerics.refresh_travel": AUTO}
-        simulation = Reduced(self.scene.but({**own, **(changes or {})}, within_limits=False), model)
+        simulation = model(self.scene.but({**own, **(changes or {})}, within_limits=False))
         stop = run_to_stop(simulation)
         if stop:
             if simulation.out_of_validity:
@@ -152,7 +152,7 @@ class _Climb:
     def _pilot(self, model, elements, changes=None) -> _Pilot:
         """What is kept of such a run: the next pilot takes over its fields and kernels."""
         simulation = self._run(model, self.length_mm / elements, changes)
-        return _Pilot(simulation.traces, viscous_share(simulation) if model == "layer" else 0.0)
+        return _Pilot(simulation.traces, viscous_share(simulation) if model is ThinLayer else 0.0)
 
     def _apart(self, one, other) -> float:
         return misfit(one.traces, other.traces).of(self.numerics.tolerance_on)
@@ -169,13 +169,13 @@ class _Climb:
     def _uniform(self) -> bool:
         """membrane and cavity: no flow."""
         tolerance, sealed = self.numerics.tolerance_percent, self.scene.chamber.sealed
-        rough, thin = self._pilot("cavity", PILOT), self._pilot("layer", PILOT, {"numerics.refresh_travel": 10.0})
+        rough, thin = self._pilot(Cavity, PILOT), self._pilot(ThinLayer, PILOT, {"numerics.refresh_travel": 10.0})
         self.inertia, self.viscous = self._apart(rough, thin), thin.viscous
         if self.inertia + self.viscous > self.allowed:
             self.choice.estimates["cavity"] = {"inertia": self.inertia, "viscosity": self.viscous}
             return False
         size = min(self.length_mm / OFFERED, self.coarsest_mm)
-        run = self._run("cavity", size)
+        run = self._run(Cavity, size)
         full = _Pilot(run.traces, 0.0)
         space = self._apart(full, rough) / ((self.length_mm / PILOT / size) ** 2 - 1.0)
         errors = {"inertia": self.inertia, "viscosity": self.viscous, "space": space}
@@ -202,12 +202,12 @@ class _Climb:
         # where eight elements blew up, they ring too coarsely to tell
         elements = PILOT if self.inertia is not None else 2 * PILOT
         coarse, often = (
-            self._pilot("layer", elements),
-            self._pilot("layer", elements, {"numerics.refresh_travel": 0.25}),
+            self._pilot(ThinLayer, elements),
+            self._pilot(ThinLayer, elements, {"numerics.refresh_travel": 0.25}),
         )
-        fine = self._pilot("layer", 2 * elements)
+        fine = self._pilot(ThinLayer, 2 * elements)
         if self.inertia is None:
-            self.inertia = self._apart(self._pilot("cavity", elements), coarse)
+            self.inertia = self._apart(self._pilot(Cavity, elements), coarse)
         size = self.length_mm / elements
         self.space, self.size = self._apart(fine, coarse) / 3.0, 0.5 * size
         age = 2.0 * self._apart(coarse, often) / 0.25  # per spacing of travel at `size`
@@ -262,11 +262,11 @@ class _Climb:
         """The cheapest of SPEEDS with the spacing it leaves: time expected [s], c, spacing [mm], errors by space and
         sound."""
         try:
-            volume = Section.from_scene(self.scene).volume()
+            volume = eye_of(self.scene).section.volume()
             give = volume / (self.scene.aqueous.density_kg_m3 * PILOT_C**2) / MM3 * MMHG
             give += self.scene.chamber.compliance_mm3_mmhg
-            yielding = self._pilot("cavity", PILOT, {"chamber.compliance_mm3_mmhg": give})
-            soft = self._apart(yielding, self._pilot("cavity", PILOT))
+            yielding = self._pilot(Cavity, PILOT, {"chamber.compliance_mm3_mmhg": give})
+            soft = self._apart(yielding, self._pilot(Cavity, PILOT))
         except _Refused:
             soft = 1.0  # what the default eye has
         offered = []

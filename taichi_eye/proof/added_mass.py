@@ -15,7 +15,8 @@ from taichi_eye.proof.rows import Row, order
 from taichi_eye.proof.waves import TENSION, THICKNESS, WALL_DENSITY, tissue
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.motion import Motion
-from taichi_eye.solver.potential import PotentialFlow, ring_areas
+from taichi_eye.solver.potential import PotentialFlow
+from taichi_eye.solver.rings import ring_areas
 
 DENSITY = 1000.0
 EYE = {"thickness": 0.55e-3, "density": 1100.0, "iop": 2000.0}
@@ -35,7 +36,7 @@ def frequencies(cloud, thickness, wall_density, material, iop=0.0, count: int = 
         push = [force + iop * area for force, area in map(membrane.forces, moved)]
         stiffness[:, column] = (push[1] - push[0])[:-1].ravel() / (2.0 * step)
     aqueous = Aqueous(cloud.count, "quadratic")
-    aqueous.setup(cloud, DENSITY, 0.0, 1.0, 0.0)
+    aqueous.setup(cloud, density=DENSITY, viscosity=0.0, sound_speed=1.0, dissipation=0.0)
     flow = PotentialFlow(membrane.cornea, aqueous, Motion(membrane.cornea, aqueous))
     flow.setup(cloud)
     membrane.forces(nodes)

@@ -16,17 +16,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from taichi_eye.eye.tissue import biaxial_tangent, rest_stress, solve_prestrain
+from taichi_eye.eye.eye import eye_of
+from taichi_eye.eye.tissue import biaxial_tangent
 from taichi_eye.ladder.trial import Trial, run_scene
 from taichi_eye.proof.measures import Measures, lag_of_best_match, measure
 from taichi_eye.scene import load_scene
-from taichi_eye.units import MM, MMHG
 
 FRAME_MS = 0.2315  # between two frames of the Corvis ST: a shorter delay it does not see
 C_BASE = 80.0  # m/s
@@ -171,11 +171,15 @@ def _lighter_fluid(factor: float) -> tuple[str, ...]:
 
 def _exponent_for_tangent(scene, factor: float) -> float:
     """k that multiplies the biaxial tangent at rest by `factor`; A stays, eps0 follows from the rest condition."""
-    cornea = scene.cornea
-    s0 = rest_stress(scene.eye.iop_mmhg * MMHG, cornea.radius_mm * MM, cornea.thickness_mm * MM)
-    tangent = lambda k: biaxial_tangent(cornea.stiffness_a_pa, k, solve_prestrain(s0, cornea.stiffness_a_pa, k))
-    wanted = factor * tangent(cornea.exponent_k)
-    low, high = 0.1 * cornea.exponent_k, 10.0 * cornea.exponent_k
+    eye = eye_of(scene)
+    a, exponent, nu = eye.cornea.constants
+
+    def tangent(k):
+        other = eye.but(cornea=replace(eye.cornea, constants=(a, k, nu)))
+        return biaxial_tangent(other.cornea.law, other.cornea.coefficients, other.apex_prestrain)
+
+    wanted = factor * tangent(exponent)
+    low, high = 0.1 * exponent, 10.0 * exponent
     for _ in range(60):  # the tangent grows with k
         middle = 0.5 * (low + high)
         low, high = (middle, high) if tangent(middle) < wanted else (low, middle)

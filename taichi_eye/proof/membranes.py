@@ -15,12 +15,24 @@ HENCKY = {0.3: (0.653443, 0.431101), 0.49: (0.598243, 0.459382)}
 
 @ti.data_oriented
 class Membrane:
-    """The solver's cornea without a liquid: forces of its tissue and its area vectors at a given place."""
+    """The solver's cornea without a liquid: forces of its tissue and its area vectors at a given place.
+
+    material: the coefficients of the tissue law and, last, the prestrain.
+    """
 
     def __init__(self, nodes, thickness: float, material, density: float = 1000.0):
         self.count = len(nodes)
         self.cornea = Cornea(self.count)
-        self.cornea.setup(nodes, thickness, density, material, 0.0, np.zeros(self.count))
+        *coefficients, prestrain = material
+        self.cornea.setup(
+            nodes,
+            thickness=thickness,
+            density=density,
+            coefficients=coefficients,
+            prestrain=prestrain,
+            iop=0.0,
+            load_shape=np.zeros(self.count),
+        )
         self.force = ti.Vector.field(2, self.cornea.place.dtype, self.count)
         self.area = ti.Vector.field(2, self.cornea.place.dtype, self.count)
 

@@ -16,7 +16,13 @@ class _Gap:
     def __init__(self, cloud, density, sound_speed, basis):
         self.count = cloud.count
         self.aqueous = Aqueous(cloud.count, basis)
-        self.aqueous.setup(with_kinds(cloud, np.full(cloud.count, FREE)), density, 0.0, sound_speed, 0.5)
+        self.aqueous.setup(
+            with_kinds(cloud, np.full(cloud.count, FREE)),
+            density=density,
+            viscosity=0.0,
+            sound_speed=sound_speed,
+            dissipation=0.5,
+        )
         self.top_rest = ti.Vector.field(2, self.aqueous.place.dtype, cloud.count)
         self.top_place = ti.Vector.field(2, self.aqueous.place.dtype, cloud.count)
         self.top_velocity = ti.Vector.field(2, self.aqueous.place.dtype, cloud.count)

@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 from scipy.special import j0, j1, jn_zeros
 
 from taichi_eye.cloud.packing import pack
+from taichi_eye.eye.laws import LAWS
 from taichi_eye.eye.section import Section
 from taichi_eye.proof.domains import Vessel, hemisphere_cloud, slip_walls, vessel_cloud
 from taichi_eye.proof.flow import Flow
@@ -283,11 +284,11 @@ def drop(quick: bool = False):
 
     clouds = [hemisphere_cloud(radius, spacing) for spacing in spacings]
     frequencies, damping = _refine(
-        _system(clouds, law="tension", rim="sliding_r"),
+        _system(clouds, law=LAWS["film"], rim="sliding_r"),
         clouds,
         exact,
         c,
-        **{**WALL, "iop": 2.0 * TENSION / radius, "material": (TENSION / THICKNESS, 0.0, 0.0, 0.0)},
+        **{**WALL, "iop": 2.0 * TENSION / radius, "material": (TENSION / THICKNESS, 0.0)},
     )
     rows, lines = _rows(
         "drop",

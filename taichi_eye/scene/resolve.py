@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from taichi_eye.errors import SceneError
+from taichi_eye.rungs import refresh_travel
 from taichi_eye.scene.calibration import (
     DEFAULT_A_PA,
     DEFAULT_K,
@@ -23,7 +24,6 @@ from taichi_eye.units import MM, MMHG
 CONSISTENT = 1e-6  # relative agreement asked of keys that determine each other
 NODES_MAX = 200_000  # of the fluid: beyond it a run would take days
 SPACINGS_DEEP = 4  # the chamber on the axis is at least so many spacings deep
-REFRESH_TRAVEL = 0.05, 0.5  # mfpm, added_mass
 LENS_CLEARANCE = 2  # spacings between lens and cornea at rest
 
 
@@ -232,7 +232,7 @@ def _sound_speeds(draft: Draft) -> None:
 def _numerics(draft: Draft) -> None:
     """How often operators or flow maps are made anew, by what they are for."""
     if draft["numerics.refresh_travel"] == AUTO:
-        draft.values["numerics.refresh_travel"] = REFRESH_TRAVEL[draft["numerics.fidelity"] == "added_mass"]
+        draft.values["numerics.refresh_travel"] = refresh_travel(draft["numerics.fidelity"])
 
 
 def _puff(draft: Draft) -> None:

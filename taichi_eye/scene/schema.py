@@ -10,6 +10,8 @@ from dataclasses import dataclass, field, fields
 from functools import cache
 from typing import Any
 
+from taichi_eye.rungs import RUNGS
+
 AUTO = "auto"  # as a value: compute this key from the others
 
 
@@ -179,7 +181,7 @@ class Numerics:
         "model of the liquid: none, IOP constant; uniform pressure of the sealed chamber; added mass "
         "of potential flow; the resolved flow; or the cheapest of them that keeps the tolerance, at a "
         "spacing and sound speed that do",
-        choices=("membrane", "cavity", "added_mass", "mfpm", "auto"),
+        choices=(*RUNGS, "auto"),
     )
     tolerance_percent: float = key(
         1.0,

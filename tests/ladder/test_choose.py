@@ -14,7 +14,7 @@ def auto(tolerance, *overrides):
 
 
 def rung(choice):
-    return RUNGS.index(choice.scene.numerics.fidelity)
+    return list(RUNGS).index(choice.scene.numerics.fidelity)
 
 
 def test_a_tighter_tolerance_never_takes_a_cheaper_rung_or_a_coarser_spacing():

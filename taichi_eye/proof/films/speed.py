@@ -19,7 +19,8 @@ from taichi_eye.bench.timing import best_of
 from taichi_eye.film import FilmView, FilmWriter, FrameState, Scheimpflug
 from taichi_eye.proof.films.eyes import EYES, INTERVAL_MS, Studio
 from taichi_eye.scene import Scene, load_scene
-from taichi_eye.solver.simulation import Simulation, cloud_of
+from taichi_eye.solver.case import cloud_of
+from taichi_eye.solver.simulation import Simulation
 
 BATCH, BATCHES = 50, 7
 TURNS = 2

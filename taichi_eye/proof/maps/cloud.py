@@ -32,7 +32,7 @@ class Twin(Simulation):
 
     def __init__(self, scene, cloud, motion: str, noise_at=()):
         super().__init__(scene, cloud)
-        self.noise_at = {round(t / self.sample_ms) for t in noise_at}
+        self.noise_at = {round(t / self.clock.sample_ms) for t in noise_at}
         self.states, self.health = [], []
         share = self.aqueous.height_fraction.to_numpy()
         if motion != "moved":
@@ -63,7 +63,7 @@ def _run(keys: dict, motion: str, noise_at=()):
     twin = Twin(scene, cloud_for(scene), motion, noise_at)
     volume = twin.aqueous.volume.to_numpy()[: twin.cloud.count]
     stop = run_to_stop(twin)
-    return twin.states, np.array(twin.health), volume, stop, twin.sample_ms, twin.traces
+    return twin.states, np.array(twin.health), volume, stop, twin.clock.sample_ms, twin.traces
 
 
 def _norms(first, second, volume, scene) -> np.ndarray:

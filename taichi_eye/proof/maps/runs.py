@@ -7,7 +7,7 @@ from taichi_eye.cloud.packing import Cloud
 from taichi_eye.ladder.trial import Trial, run_scene
 from taichi_eye.scene import Scene, load_scene
 from taichi_eye.solver import guards
-from taichi_eye.solver.simulation import cloud_of
+from taichi_eye.solver.case import cloud_of
 
 COARSE = {"numerics.spacing_mm": 0.28, "numerics.sound_speed_m_s": 40.0}
 

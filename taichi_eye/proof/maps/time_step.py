@@ -17,6 +17,7 @@ from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.proof.maps.result import Map, dots, finish, panels
 from taichi_eye.proof.maps.runs import cause, cloud_for, run, scene_with
 from taichi_eye.solver import timestep
+from taichi_eye.solver.case import case_of
 from taichi_eye.solver.simulation import Simulation
 
 PUFF = {"puff.duration_ms": 4.0, "numerics.duration_ms": 4.4, "numerics.sound_speed_m_s": 120.0}
@@ -148,7 +149,7 @@ def time_step(say=print) -> Map:
         lines = [[], []]
         for alpha in fine:
             scene = scene_with({**PUFF, "numerics.dissipation": float(alpha)})
-            limit = min(timestep.limits(figures, scene).values())
+            limit = min(timestep.limits(figures, case_of(scene)).values())
             for line, step in zip(lines, largest_steps(w, per_unit * alpha)):
                 line.append(step / limit)
         left.plot(fine, lines[0], color=colour, label=f"(w + d) dt = 2, {label}")
