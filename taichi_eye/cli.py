@@ -1,8 +1,9 @@
 """The command line: `taichi-eye run SCENE.toml`, `analyze FILM`, `chart SCENE.toml`, and `verify`, `stability`,
 `clinic`, `claims`, `films`, `choices`, `bench`.
 
-Exit status: 0 done; 1 the run left its validity and was stopped (what was computed so far is in the run folder), or a
-row of `verify`, `films`, `choices` or `bench` does not hold; 2 bad input, nothing written; 130 interrupted.
+Exit status: 0 done; 1 the run left its validity and was stopped (what was computed so far is in the run folder), a
+row of `verify`, `films`, `choices` or `bench` does not hold, or standard output could not be written; 2 bad input,
+nothing written; 130 interrupted.
 """
 
 import argparse
@@ -10,7 +11,7 @@ import os
 import sys
 from pathlib import Path
 
-from taichi_eye import backend
+from taichi_eye import backend, console
 from taichi_eye.errors import FilmError, RunStopped, SceneError
 
 
@@ -167,10 +168,12 @@ def _threads(text: str) -> int:
     return int(text)
 
 
+@console.steady
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     given = parser().parse_args(arguments)
     try:
+        backend.refuse_homeless()
         return given.do(given)
     except (SceneError, FilmError, backend.BackendError) as error:
         print(f"taichi-eye: {error}", file=sys.stderr)

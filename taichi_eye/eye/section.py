@@ -95,7 +95,7 @@ class Section:
         """Volume of the chamber at rest, in m^3."""
         cap, lens = self.apex_z, self.lens_height
         volume = np.pi * cap**2 * (self.radius - cap / 3.0) - np.pi * self.limbus_radius**2 * self.back_z
-        return volume - np.pi * lens**2 * (self.lens_radius - lens / 3.0)
+        return float(volume - np.pi * lens**2 * (self.lens_radius - lens / 3.0))
 
     def cornea_nodes(self, elements: int):
         """Points of the cornea at equal angles, apex first, limbus last: shape [elements + 1, 2], in metres."""

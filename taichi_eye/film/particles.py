@@ -142,7 +142,7 @@ class Particles:
         image = np.empty(self.still.shape, np.uint8) if out is None else out
         image[...] = self.still
         profile = self.puff_profile
-        puff_kpa = state.trace_puff_kpa[-1] if len(state.trace_puff_kpa) else 0.0
+        puff_kpa = float(state.trace_puff_kpa[-1]) if len(state.trace_puff_kpa) else 0.0
         if state.puff_radial is not None and np.max(np.abs(state.puff_radial)) > 0.0:
             wall_r = state.wall.to_numpy()[: state.wall_count, 0]
             profile = np.interp(self.radii, wall_r, state.puff_radial, right=0.0)

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from tqdm import tqdm
 
+from taichi_eye import backend
 from taichi_eye.cloud.packing import Cloud
 from taichi_eye.errors import RunStopped, SceneError
 from taichi_eye.eye.puff import Puffs
@@ -70,6 +71,7 @@ class Batch:
         counts = [cloud.count for cloud in self.clouds]
         self.first = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(int)
         eyes = len(self.scenes)
+        self.generation = backend.generation()
         self._workspace = workspace = borrow(self, sum(counts), eyes, bases.pop())
         self.cornea, self.aqueous, self.coupling = workspace.cornea, workspace.aqueous, workspace.coupling
         self.survey, self.sampler = workspace.survey, workspace.sampler
@@ -168,6 +170,7 @@ class Batch:
 
     def advance(self) -> bool:
         """Take every eye that runs to its next sample; False where none has one."""
+        backend.refuse_lost(self.generation)
         self._eyes = eyes = np.flatnonzero(self._going & (self.sample < self._samples))
         if not len(eyes):
             return False
@@ -191,6 +194,7 @@ class Batch:
     def record(self) -> None:
         """Look at the eyes that were advanced last: add to their traces, stop what left its validity, rebuild
         weights."""
+        backend.refuse_lost(self.generation)
         eyes, rows = self._eyes, self._history[self.sample]
         calm = self._guard.where_calm(rows, self.sample % self._per_frame == 0)
         if not calm.all():

@@ -79,14 +79,14 @@ class Reduced:
         self.cloud = cloud
         self.wall_count = cornea_elements(self.section, self.spacing) + 1
         size = capacity(self.wall_count, 16)
-        kind = (backend.generation(), "wall", size, self.flowing)
+        self.generation = backend.generation()
+        kind = (self.generation, "wall", size, self.flowing)
         wall = reuse(self, kind, lambda: _Wall(size, self.flowing))
         self.cornea, self.stepper = wall.cornea, wall.stepper
         self._liquid: _Liquid | None = None
         self._neumann, self._refreshed_ms, self._maps = None, 0.0, None
-        self._filmed: tuple[int, np.ndarray] | None = (
-            None  # the frame last shown with its liquid, and the flow map there
-        )
+        # the frame last shown with its liquid, and the flow map there
+        self._filmed: tuple[int, np.ndarray] | None = None
         self._place_at_rest()
         clock = self.clock
         times = np.arange(clock.samples * PUFF_ROWS + 2) * (clock.sample_s / PUFF_ROWS)
@@ -100,7 +100,7 @@ class Reduced:
         self.stop: RunStopped | None = None
         self.out_of_validity = False
         self.sample = self.reached = self.refreshes = 0
-        self._shown = -1  # the last frame that was handed to callbacks
+        self._shown, self._next = 0, 0  # the frame handed to callbacks last, and the one to be handed next
 
     def _place_at_rest(self) -> None:
         eye = self.eye
@@ -145,13 +145,14 @@ class Reduced:
         traces as arrays. Raises RunStopped where the model leaves its validity, after the frames up to there; `traces`
         keeps what was computed.
         """
+        backend.refuse_lost(self.generation)
         if on_frame or on_sample:
-            for frame in range(self._shown + 1, self.clock.frames):
+            for frame in range(self._next, self.clock.frames):
                 sample = frame * self.clock.samples_per_frame
                 self._advance(sample)
                 if sample > self.reached:
                     break
-                self.sample, self._shown = sample, frame
+                self.sample, self._shown, self._next = sample, frame, frame + 1
                 self.stepper.show(self.frames[frame], sample < self.reached)
                 if on_sample:
                     on_sample(self)
@@ -161,7 +162,7 @@ class Reduced:
         self.sample = self.reached
         if on_sample:
             on_sample(self)
-        self._shown = -1
+        self._next = 0
         if self.stop is not None:
             raise RunStopped(*self.stop.args)
         return self.traces
@@ -251,7 +252,7 @@ class Reduced:
             if self.cloud is None:
                 self.cloud = pack(self.section, self.spacing)
             size = capacity(self.cloud.count)
-            kind = (backend.generation(), "liquid", self.cornea, size)
+            kind = (self.generation, "liquid", self.cornea, size)
             self._liquid = reuse(self, kind, lambda: _Liquid(self.cornea, size))
             liquid = self.eye.liquid
             self._liquid.aqueous.setup(
@@ -269,6 +270,7 @@ class Reduced:
 
         Potential flow under the wall's motion at that frame (see the head of this module).
         """
+        backend.refuse_lost(self.generation)
         flow, fields = self._potential_flow(), self._liquid.aqueous
         frame = self._shown
         if frame > 0 and (self._filmed is None or self._filmed[0] != frame - 1):
@@ -350,6 +352,7 @@ class Reduced:
         self._record[: len(figures)], self.frames[: len(frames)] = figures, frames[: len(self.frames)]
         self.stepper.steps[None] = int(state["steps"])
         self.refreshes, self._shown = int(state["refreshes"]), int(state["shown"])
+        self._next = self._shown + 1
         self.reached, self.sample = len(figures) - 1, self._shown * self.clock.samples_per_frame
         self._guard.largest_work = state["guarded_work"].copy()
         self.stop = RunStopped(*ast.literal_eval(str(state["stop"]))) if str(state["stop"]) else None

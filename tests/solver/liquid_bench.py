@@ -32,7 +32,7 @@ class Liquid:
         )
         for field in (self.wall_rest, self.wall_place):
             self.put(field, cloud.points[: self.walls])
-        self.wall_velocity.fill(0.0)
+        self.put(self.wall_velocity, np.zeros((self.walls, 2)))
         return self
 
     def put(self, field, values):
@@ -126,5 +126,5 @@ class Liquid:
             self.number[2] = self.aqueous.missing_pressure(0, volume, 0.0)
 
     def kinetic_elastic_missing(self, volume):
-        self._weigh(volume)
+        self._weigh(float(volume))
         return self.number.to_numpy()

@@ -245,7 +245,7 @@ def swing(membrane, dt, duration, push):
     start = membrane.energy_volume_kinetic()
     totals = []
     for _ in range(round(duration / dt)):
-        membrane.march(1, dt)
+        membrane.march(1, float(dt))
         energy, volume, kinetic = membrane.energy_volume_kinetic() - (start * (1, 1, 0))
         totals.append(energy + kinetic - membrane.iop * volume)
     return membrane.cornea.place.to_numpy()[:25], np.array(totals) / start[2]

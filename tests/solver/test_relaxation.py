@@ -47,7 +47,7 @@ class Probe:
     def move(self, place, dt):
         """Put the nodes at `place` in a step of dt; the stresses [elements, 2] and the work of the overstress [J]."""
         self.cornea.place.from_numpy(np.ascontiguousarray(place))
-        self._deform(dt)
+        self._deform(float(dt))
         return self.cornea.stress.to_numpy()[:ELEMENTS], self.cornea.relaxed_work[0]
 
 
