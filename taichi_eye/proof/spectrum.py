@@ -104,7 +104,7 @@ class CoupledSystem:
     def _remember(self):
         ti.loop_config(serialize=True)
         for _ in range(ONE_TASK):
-            self.coupling.rest_enclosed[0] = self.cornea.enclosed_volume(0)
+            self.coupling.rest_enclosed[0] = self.cornea.enclosed_volume(0, self.cornea.place)
 
     @ti.kernel
     def _load(self, state: ti.types.ndarray()):
