@@ -139,7 +139,7 @@ class _Climb:
     def _run(self, model, spacing_mm, changes=None) -> Reduced:
         """A finished run of a reduced model with other changes (see `Scene.but`); _Refused where it leaves its
         validity. The spacing may be coarser than a chamber with nodes would take: there are none."""
-        named = "added_mass" if model is ThinLayer else "cavity"
+        named = "added_mass" if model is ThinLayer else model.__name__.lower()
         own = {"numerics.fidelity": named, "numerics.spacing_mm": spacing_mm, "numerics.refresh_travel": AUTO}
         simulation = model(self.scene.but({**own, **(changes or {})}, within_limits=False))
         stop = run_to_stop(simulation)

@@ -9,9 +9,9 @@ from scipy.linalg import eig, null_space
 
 from taichi_eye.cloud.packing import pack
 from taichi_eye.eye.section import Section
+from taichi_eye.proof.comparison import Comparison, order
 from taichi_eye.proof.domains import Vessel, vessel_cloud
 from taichi_eye.proof.membranes import Membrane
-from taichi_eye.proof.rows import Row, order
 from taichi_eye.proof.waves import TENSION, THICKNESS, WALL_DENSITY, tissue
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.motion import Motion
@@ -83,7 +83,7 @@ def _add(rows, figures, problem, exact, spacings, found, quick):
     errors = np.abs(np.array(found) / np.asarray(exact) - 1.0)
     common = order(spacings, np.sqrt((errors**2).mean(1)))
     rows += [
-        Row(
+        Comparison(
             problem,
             f"mode {m + 1} (Hz)",
             exact[m],

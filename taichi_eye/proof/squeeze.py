@@ -4,8 +4,8 @@ import numpy as np
 
 from taichi_eye.cloud.packing import FREE
 from taichi_eye.lang import ti
+from taichi_eye.proof.comparison import Comparison
 from taichi_eye.proof.domains import Vessel, vessel_cloud, with_kinds
-from taichi_eye.proof.rows import Row
 from taichi_eye.solver.aqueous import Aqueous
 
 
@@ -64,7 +64,7 @@ def squeeze(quick: bool = False):
             worst = np.maximum(worst, _rate_errors(cloud, density, c, basis))
         for name, error in zip(("acceleration", "divergence", "node place"), worst):
             rows.append(
-                Row(
+                Comparison(
                     "squeeze flow",
                     f"{name}, {basis} basis, worst node",
                     0.0,

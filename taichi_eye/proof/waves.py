@@ -11,10 +11,10 @@ from scipy.special import j0, j1, jn_zeros
 from taichi_eye.cloud.packing import pack
 from taichi_eye.eye.laws import LAWS
 from taichi_eye.eye.section import Section
+from taichi_eye.proof.comparison import Comparison, order
 from taichi_eye.proof.domains import Vessel, hemisphere_cloud, slip_walls, vessel_cloud
 from taichi_eye.proof.flow import Flow
 from taichi_eye.proof.membranes import dry_frequencies
-from taichi_eye.proof.rows import Row, order
 from taichi_eye.proof.spectrum import CoupledSystem, mode, step_matrix
 
 DISSIPATION = 0.5  # the solver's default
@@ -65,7 +65,7 @@ def _rows(problem, names, exact, spacings, frequencies, damping, limit, order_li
     # single errors change sign as they converge; their root mean square does not
     common = order(spacings, np.sqrt((errors**2).mean(1)))
     rows = [
-        Row(
+        Comparison(
             problem,
             f"{name} (Hz)",
             float(exact[m]),

@@ -6,8 +6,8 @@ from scipy.special import j0, jn_zeros
 
 from taichi_eye.cloud.packing import pack
 from taichi_eye.eye.section import Section
+from taichi_eye.proof.comparison import order
 from taichi_eye.proof.domains import Vessel, vessel_cloud
-from taichi_eye.proof.rows import order
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.cornea import Cornea
 from taichi_eye.solver.motion import Motion
