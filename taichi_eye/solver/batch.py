@@ -27,6 +27,7 @@ from taichi_eye.eye.puff import Puff, Puffs
 from taichi_eye.eye.section import Section
 from taichi_eye.mfpm.operators import CONDITION_LIMIT
 from taichi_eye.scene import Scene
+from taichi_eye.scene.budget import SAMPLE_MS
 from taichi_eye.solver import guards
 from taichi_eye.solver.folding import Folding
 from taichi_eye.solver.rest import place_cornea
@@ -35,7 +36,6 @@ from taichi_eye.solver.timestep import NAMES, StepLimits
 from taichi_eye.solver.workspace import borrow
 from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
 
-SAMPLE_MS = 0.025  # longest time between two rows of the traces
 AT_ONCE = 2**18  # nodes that `run_batch` holds in memory, some 3 kB each
 
 
