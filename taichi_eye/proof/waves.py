@@ -231,7 +231,7 @@ def eye_modes(quick: bool = False):
     """
     exact, c = (308.7, 549.8, 803.7), 100.0
     radius, rim, iop, k, prestrain = 7.8e-3, 5.5e-3, 2000.0, 20.0, 0.03
-    a = iop * radius / (2.0 * THICKNESS) / (2.0 * k * prestrain * np.exp(2.0 * k * prestrain**2))
+    a = float(iop * radius / (2.0 * THICKNESS) / (2.0 * k * prestrain * np.exp(2.0 * k * prestrain**2)))
     section = Section(radius, rim, radius - np.sqrt(radius**2 - rim**2))
     spacings = (0.5e-3, 0.354e-3) if quick else (0.354e-3, 0.25e-3, 0.177e-3, 0.125e-3)
     clouds = [pack(section, spacing) for spacing in spacings]

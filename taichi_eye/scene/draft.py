@@ -104,7 +104,9 @@ def written(value: Any) -> str:
         return str(value) if abs(value) < 10**30 else f"a number of {value.bit_length()} bits"
     if isinstance(value, float):
         return repr(value)
-    return {dict: "a table", list: "an array"}.get(type(value), str(value))
+    if isinstance(value, dict | list):
+        return "a table" if isinstance(value, dict) else "an array"
+    return str(value)
 
 
 def _encodable(text: str) -> bool:

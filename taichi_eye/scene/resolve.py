@@ -8,6 +8,7 @@ from pathlib import Path
 
 from taichi_eye.errors import SceneError
 from taichi_eye.rungs import refresh_travel
+from taichi_eye.scene.budget import refuse_costly
 from taichi_eye.scene.calibration import (
     DEFAULT_A_PA,
     DEFAULT_K,
@@ -45,6 +46,8 @@ def resolve(draft: Draft) -> None:
     for name, _, spec in all_keys():
         if draft.within_limits and spec.computed and not spec.holds(draft[name]):
             draft.refuse(f"computed from the other keys, must be {spec.bounds()}", name)
+    draft.stop_if_refused()
+    refuse_costly(draft)
     draft.stop_if_refused()
 
 

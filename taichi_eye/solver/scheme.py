@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from taichi_eye.scene import Scene
+from taichi_eye.scene.budget import SAMPLE_MS
 from taichi_eye.units import MM, MS
-
-SAMPLE_MS = 0.025  # longest time between two rows of the traces
 
 
 @dataclass(frozen=True, kw_only=True)
