@@ -69,6 +69,11 @@ def real():
     return ti.f64 if _active["precision"] == "f64" else ti.f32
 
 
+def settings() -> dict:
+    """The arguments of the `init` in force: arch, precision, threads, debug; empty before the first one."""
+    return dict(_active)
+
+
 def generation() -> int:
     """How often Taichi was started afresh: fields of an earlier generation are lost."""
     if not _active:
