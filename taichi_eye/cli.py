@@ -212,6 +212,8 @@ def _run(given) -> int:
         from taichi_eye.pipeline import resume
 
         result = resume(given.resume, not given.quiet, given.threads)
+        if result.finished_before:
+            print(f"{result.folder}: this run was finished already")
     else:
         from taichi_eye.pipeline import run
         from taichi_eye.scene import load_scene

@@ -34,11 +34,15 @@ from taichi_eye.solver.simulation import cloud_of
 
 @dataclass(frozen=True)
 class RunResult:
-    """What a run leaves: its folder, the summary as in summary.json, and the traces as arrays by column."""
+    """What a run leaves: its folder, the summary as in summary.json, and the traces as arrays by column.
+
+    finished_before: whether there was nothing left to `resume`.
+    """
 
     folder: Path
     summary: dict
     traces: dict[str, np.ndarray]
+    finished_before: bool = False
 
 
 def run(
@@ -178,7 +182,7 @@ def _start_as_begun(folder: Path, manifest: dict, threads: int | None) -> None:
 def _finished(folder: Path) -> RunResult:
     try:
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-        return RunResult(folder, summary, read_traces(folder / "traces.csv"))
+        return RunResult(folder, summary, read_traces(folder / "traces.csv"), finished_before=True)
     except (OSError, ValueError) as problem:
         raise SceneError(f"{folder}: is finished, but cannot be read ({problem})") from None
 

@@ -80,11 +80,16 @@ def test_an_interrupted_run_leaves_what_it_has(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         taichi_eye.run(scene, tmp_path / "cut")
     folder = tmp_path / "cut"
-    assert names(folder) == ALWAYS
+    assert names(folder) == ALWAYS | {".run"}
     assert film_frames(folder / "film.mp4") == 4
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["status"] == "stopped" and summary["reason"] == "interrupted"
     assert read_traces(folder / "traces.csv")["time_ms"][-1] == summary["simulated_ms"] < 1.0
+    with np.load(folder / "wall.npz") as wall:
+        assert len(wall["time_ms"]) == 4
+    monkeypatch.setattr(FilmView, "render", render)
+    assert taichi_eye.resume(folder).summary["status"] == "complete"
+    assert names(folder) == ALWAYS and film_frames(folder / "film.mp4") == scene.camera.frame_count
 
 
 def test_a_bad_spacing_or_folder_or_history_is_refused_before_anything_is_written(tmp_path):

@@ -14,4 +14,4 @@ from taichi_eye.recording.summary import Summary
 from taichi_eye.recording.traces import Traces
 from taichi_eye.recording.wall import Wall
 
-SINKS: tuple[type[Observer], ...] = (Traces, Wall, Film, Frames, Fields, Apex, Sheet, Gif, Summary)
+SINKS: tuple[type[Observer], ...] = (Traces, Film, Wall, Frames, Fields, Apex, Sheet, Gif, Summary)
