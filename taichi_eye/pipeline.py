@@ -205,11 +205,14 @@ def _record(recording: Recording, room: WorkRoom, signals: Signals, bar: Progres
             observer.frame(moment)
         clock["film_s"] = clock.get("film_s", 0.0) + time.perf_counter() - before
 
-    signals.note()
     try:
         for observer in observers:
             observer.opened(recording, held.get(type(observer).__name__))
-        clock["setup_s"] = clock.get("setup_s", 0.0) + time.perf_counter() - recording.started
+    except (OSError, OutputError) as problem:
+        raise _unwritten(recording, problem) from problem
+    clock["setup_s"] = clock.get("setup_s", 0.0) + time.perf_counter() - recording.started
+    signals.note()
+    try:
         simulation.run(on_frame, on_sample)
     except (Exception, KeyboardInterrupt) as reason:
         stop = reason

@@ -6,6 +6,7 @@ since the last of these alone: a film that was stopped there and continued by an
 that was not. (A constant rate factor carries the history of the whole film into every frame.)
 """
 
+import hashlib
 import os
 import queue
 import secrets
@@ -63,18 +64,20 @@ class FilmWriter:
         self.path, self.fps, self.work = Path(path), fps, work
         self.frame_count = 0
         self._parts: list[Path] = []  # closed segments
+        self._files: dict[str, list] = {}  # length and SHA-256 of what is held, by name
         self._segment: _Segment | None = None
         self._began = 0  # first frame of the last segment, one that begins a group
         self._shape: tuple[int, ...] | None = None
         self._group: list[np.ndarray] = []  # the last group's frames so far
         self._closed = False
+        kept = {} if held is None else held["files"]
         if work is not None:
-            kept = [] if held is None else [*held["segments"], held["group"]]
             for part in work.glob(f"{self.path.stem}-*"):  # written after that
                 if part.name not in kept:
                     part.unlink()
         if held is not None:
             self._parts = [work / name for name in held["segments"]]
+            self._files = dict(kept)
             self.frame_count = held["frames"]
             if held["group"] is not None:
                 frames = np.load(work / held["group"], allow_pickle=False)
@@ -111,6 +114,8 @@ class FilmWriter:
     def hold(self) -> dict:
         """Close the segment and put on the disk what a film needs to go on from here; names and numbers for JSON.
 
+        Under "files": length and SHA-256 of each that is needed.
+
         Within a group, whose frames depend on each other, its frames so far are kept as they are, for the film that
         goes on to code them anew; this one is then at its end.
         """
@@ -125,14 +130,14 @@ class FilmWriter:
             group = self._new_part(".npy")
             with replacing(group) as temporary:
                 np.save(temporary, np.array(self._group))
-            settle(group)
-        for part in whole:
-            settle(part)
-        return {
-            "frames": self.frame_count,
-            "segments": [part.name for part in whole],
-            "group": None if group is None else group.name,
-        }
+        for part in [*whole, group] if group is not None else whole:
+            if part.name not in self._files:
+                settle(part)
+                content = part.read_bytes()
+                self._files[part.name] = [len(content), hashlib.sha256(content).hexdigest()]
+        segments, group = [part.name for part in whole], None if group is None else group.name
+        files = {name: self._files[name] for name in (*segments, group) if name is not None}
+        return {"frames": self.frame_count, "segments": segments, "group": group, "files": files}
 
     def close(self) -> None:
         """Finish the film and put it at `path`; harmless when called again."""

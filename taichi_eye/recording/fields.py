@@ -17,7 +17,7 @@ class Fields(Observer):
         from taichi_eye.report.paraview import ParaviewWriter
 
         super().opened(recording, held)
-        self._writer = ParaviewWriter(recording.folder / "fields", held or ())
+        self._writer = ParaviewWriter(recording.folder / "fields", held["times_ms"] if held else ())
 
     def frame(self, moment) -> None:
         place, velocity, pressure, count = moment.liquid
@@ -30,5 +30,5 @@ class Fields(Observer):
             {"velocity_m_s": moment.simulation.cornea.velocity.to_numpy()[: len(moment.wall)]},
         )
 
-    def held(self) -> list[float]:
-        return self._writer.times_ms
+    def held(self) -> dict:
+        return {"times_ms": self._writer.times_ms}

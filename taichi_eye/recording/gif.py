@@ -25,13 +25,13 @@ class Gif(Observer):
         super().opened(recording, held)
         self._stride = STRIDE * math.ceil(recording.scene.camera.frame_count / (STRIDE * FRAMES))
         blank = shrunk(np.zeros(recording.view.shape, np.uint8), WIDTH_PX)
-        self._log = Log(recording.work / "gif", np.dtype([("image", np.uint8, blank.shape)]), held or 0)
+        self._log = Log(recording.work / "gif", np.dtype([("image", np.uint8, blank.shape)]), held)
 
     def frame(self, moment) -> None:
         if moment.frame % self._stride == 0:
             self._log.append(shrunk(moment.image, WIDTH_PX))
 
-    def held(self) -> int:
+    def held(self) -> dict:
         return self._log.held()
 
     def closed(self, ending) -> None:

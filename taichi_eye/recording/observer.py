@@ -127,7 +127,7 @@ class Observer:
         """Whether a run of this scene has it."""
         return True
 
-    def opened(self, recording: Recording, held: Any) -> None:
+    def opened(self, recording: Recording, held: dict[str, Any] | None) -> None:
         """The folder is there; held: what `held` returned at the checkpoint from which the run goes on, or None."""
         self.recording = recording
 
@@ -137,8 +137,11 @@ class Observer:
     def frame(self, moment: Moment) -> None:
         """The sample is a film frame."""
 
-    def held(self) -> Any:
-        """Put on the disk what cannot be made again; returns what else it takes to go on from here, for JSON."""
+    def held(self) -> dict[str, Any] | None:
+        """Put on the disk what cannot be made again; returns what else it takes to go on from here, for JSON.
+
+        Under "files" stand those in the work folder that it counts on: by name, length and SHA-256 of what counts.
+        """
 
     def closed(self, ending: Ending) -> None:
         """The run is over: put the files under their names, each whole or not at all. May raise OSError."""

@@ -17,12 +17,12 @@ class Wall(Observer):
         super().opened(recording, held)
         wall = recording.simulation.cornea.place.to_numpy()[: recording.simulation.wall_count]
         row = np.dtype([("time_ms", "f8"), ("retreat_mm", "f8"), ("wall", wall.dtype, wall.shape)])
-        recording.walls = Log(recording.work / "wall", row, held or 0)
+        recording.walls = Log(recording.work / "wall", row, held)
 
     def frame(self, moment) -> None:
         self.recording.walls.append(moment.time_ms, moment.retreat_mm, moment.wall)
 
-    def held(self) -> int:
+    def held(self) -> dict:
         return self.recording.walls.held()
 
     def closed(self, ending) -> None:

@@ -4,7 +4,8 @@
     .run/checkpoint    the state of the simulation, and what the observers held at that moment
     .run/...           logs and film segments that the checkpoint counts on; what goes beyond it is dropped
 
-A checkpoint replaces the one before it once everything it counts on is on the disk. Its first line names its kind, its
+What an observer held may name such files under "files": each with the length and the SHA-256 of what counts. A
+checkpoint replaces the one before it once everything it counts on is on the disk. Its first line names its kind, its
 second is the SHA-256 of the rest: arrays as NumPy's .npz, without pickles, among them a header in JSON. Whoever resumes
 has to be the same program with the same scene: bits could differ otherwise, and half a run of each would be neither.
 """
@@ -115,6 +116,10 @@ class WorkRoom:
             state = {name.removeprefix("state."): held[name] for name in held.files if name != "header"}
         if (header["scene"], header["program"]) != (fingerprint(scene), program()):
             raise SceneError(f"{path}: is of another scene or program; {ANEW}")
+        for held in header["held"].values():
+            for name, (length, digest) in (held or {}).get("files", {}).items():
+                if _checksum(self.path / name, length) != digest:
+                    raise SceneError(f"{self.path / name}: is damaged (its checksum does not match); {ANEW}")
         return header, state
 
     def finish(self) -> None:
@@ -129,38 +134,55 @@ class WorkRoom:
         shutil.rmtree(gone)
 
 
+def _checksum(path: Path, length: int) -> str:
+    """SHA-256 of the start of a file; that of nothing where it is missing."""
+    digest = hashlib.sha256()
+    try:
+        with open(path, "rb") as file:
+            while length > 0 and (block := file.read(min(length, 2**20))):
+                digest.update(block)
+                length -= len(block)
+    except FileNotFoundError:
+        pass
+    return digest.hexdigest()
+
+
 class Log:
     """Rows of one structured NumPy type in a file that only grows; rows: how many it holds.
 
-    A run that goes on opens it with the number of rows it had `held`: the rest is cut off.
+    A run that goes on opens it with what it had `held`: later rows are cut off.
     """
 
-    def __init__(self, path: Path, dtype: np.dtype, rows: int = 0):
-        self.path, self.dtype, self.rows = path, np.dtype(dtype), rows
-        self._file = open(path, "r+b" if rows else "w+b", buffering=0)
-        self._file.truncate(rows * self.dtype.itemsize)
+    def __init__(self, path: Path, dtype: np.dtype, held: Mapping[str, Any] | None = None):
+        self.path, self.dtype, self.rows = path, np.dtype(dtype), 0
+        self._digest = hashlib.sha256()
+        if held is not None:
+            self.rows = held["rows"]
+            with open(path, "rb") as file:
+                self._digest.update(file.read(self.rows * self.dtype.itemsize))
+        self._file = open(path, "r+b" if self.rows else "w+b", buffering=0)
+        self._file.truncate(self.rows * self.dtype.itemsize)
         self._file.seek(0, os.SEEK_END)
 
     def append(self, *values) -> None:
         """Add a row, a value to each of its fields."""
-        data = memoryview(np.array(values, self.dtype).tobytes())
+        row = np.array(values, self.dtype).tobytes()
+        data = memoryview(row)
         while data:
             try:
                 data = data[self._file.write(data) :]
             except OSError as error:
                 error.filename = str(self.path)
                 raise
+        self._digest.update(row)
         self.rows += 1
 
-    def held(self) -> int:
-        """The rows, once they are on the disk."""
+    def held(self) -> dict[str, Any]:
+        """How many rows, once they are on the disk, and the file as `WorkRoom.load` checks it."""
         os.fsync(self._file.fileno())
-        return self.rows
+        length = self.rows * self.dtype.itemsize
+        return {"rows": self.rows, "files": {self.path.name: [length, self._digest.hexdigest()]}}
 
     def read(self) -> np.ndarray:
         """All rows."""
         return np.fromfile(self.path, self.dtype, self.rows)
-
-    def close(self) -> None:
-        """No more rows."""
-        self._file.close()

@@ -108,11 +108,7 @@ class Reference:
 
     def same(self, folder: Path) -> None:
         """A run that was cut off and resumed left what this one left."""
-        files = [
-            sorted(path.relative_to(each) for path in each.rglob("*") if path.is_file())
-            for each in (self.folder, folder)
-        ]
-        assert files[0] == files[1]
+        assert files(folder) == files(self.folder)
         assert not (folder / ".run").exists()
         self.whole_so_far(folder)
         for name in ("fields/fields.pvd", "scene.toml"):

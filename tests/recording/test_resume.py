@@ -18,6 +18,7 @@ from cut_runs import CASES, Reference, begun, ended, kill_and_resume, resumed
 
 import taichi_eye
 from taichi_eye import cli
+from taichi_eye.recording.workroom import WorkRoom
 from taichi_eye.report.folder import Lock
 from taichi_eye.report.traces import read_traces
 
@@ -110,12 +111,13 @@ def test_a_full_disk_is_named_and_the_run_goes_on_once_there_is_room(reference, 
 def test_what_is_damaged_or_of_another_scene_or_program_is_refused(copy, monkeypatch, capsys):
     def refused(part):
         before = {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
-        assert cli.main(["run", "--resume", str(copy)]) == 2
+        assert cli.main(["run", "--resume", str(copy), "--quiet"]) == 2
         said = capsys.readouterr().err
         assert part in said and str(copy) in said and len(said.splitlines()) == 1
         assert {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()} == before
 
     checkpoint = copy / ".run" / "checkpoint"
+    header, _ = WorkRoom(copy).load(taichi_eye.load_scene(copy / "scene.toml"))
     whole = checkpoint.read_bytes()
     draw = random.Random(3)
     for _ in range(20):
@@ -128,6 +130,14 @@ def test_what_is_damaged_or_of_another_scene_or_program_is_refused(copy, monkeyp
     checkpoint.write_bytes(b"")
     refused("no checkpoint of this version")
     checkpoint.write_bytes(whole)
+    for part in header["held"]["Wall"]["files"] | header["held"]["Film"]["files"]:
+        path = copy / ".run" / part
+        kept = bytearray(path.read_bytes())
+        path.write_bytes(kept[: len(kept) // 2])
+        refused(f"{part}: is damaged")
+        path.unlink()
+        refused(f"{part}: is damaged")
+        path.write_bytes(kept)
     scene = copy / "scene.toml"
     text = scene.read_text()
     scene.write_text(text.replace("iop_mmhg = 15.0", "iop_mmhg = 16.0"))
