@@ -203,12 +203,12 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(given) -> int:
-    # solver and film are slow to load, and a bad command is refused without them
     if given.resume is not None:
         others = {"a scene": given.scene, "--set": given.overrides, "--out": given.out, "--compare": given.compare}
         others |= {"--arch": given.arch, "--precision": given.precision}
         if beside := [name for name, value in others.items() if value]:
             raise SceneError(f"--resume {given.resume}: goes on as the run began, so leave out {', '.join(beside)}")
+        # solver and film are slow to load, and a bad command is refused without them
         from taichi_eye.pipeline import resume
 
         result = resume(given.resume, not given.quiet, given.threads)

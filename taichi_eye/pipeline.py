@@ -210,6 +210,9 @@ def _record(recording: Recording, room: WorkRoom, signals: Signals, bar: Progres
             observer.opened(recording, held.get(type(observer).__name__))
     except (OSError, OutputError) as problem:
         raise _unwritten(recording, problem) from problem
+    except KeyboardInterrupt as reason:
+        reason.folder = recording.folder
+        raise
     clock["setup_s"] = clock.get("setup_s", 0.0) + time.perf_counter() - recording.started
     signals.note()
     try:

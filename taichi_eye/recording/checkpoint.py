@@ -10,12 +10,14 @@ from taichi_eye.recording.observer import Observer
 from taichi_eye.recording.signals import Signals
 from taichi_eye.recording.workroom import WorkRoom, fingerprint, program
 
+SHARE = 0.02  # of the run's time, that checkpoints may cost
+
 
 class Checkpoint(Observer):
     """The last of the observers: a checkpoint holds what the others have seen, up to the sample that it is taken at.
 
-    One is taken every `output.checkpoint_s` seconds, at the next sample where the others can be held cheaply, and at
-    once where a signal asks for the end.
+    One is taken `output.checkpoint_s` seconds after the last one, later where they would cost more than SHARE of the
+    time, at the next sample where the others can be held cheaply; and at once where a signal asks for the end.
     """
 
     def __init__(self, room: WorkRoom, others: Sequence[Observer], signals: Signals):
@@ -23,30 +25,32 @@ class Checkpoint(Observer):
 
     def opened(self, recording, held) -> None:
         super().opened(recording, held)
-        self._scene, self._last = fingerprint(recording.scene), time.monotonic()
+        self._scene, self._pause_s = fingerprint(recording.scene), recording.scene.output.checkpoint_s
+        self._last = time.monotonic()
 
     def sample(self) -> None:
         simulation, camera = self.recording.simulation, self.recording.scene.camera
         frame, rest = divmod(simulation.sample, simulation.samples_per_frame)
         if rest or frame >= camera.frame_count:
-            self._pause()
+            self._look()
 
     def frame(self, moment) -> None:
-        self._pause()
+        self._look()
 
-    def _pause(self) -> None:
+    def _look(self) -> None:
         if self._signals.asked is not None:
             self.take()
             raise Interrupted(self._signals.asked)
-        due = time.monotonic() - self._last >= self.recording.scene.output.checkpoint_s
-        if due and all(other.seam for other in self._others):
+        if time.monotonic() - self._last >= self._pause_s and all(other.seam for other in self._others):
             self.take()
 
     def take(self) -> None:
         """Put a checkpoint on the disk."""
-        recording = self.recording
+        recording, before = self.recording, time.monotonic()
         held = {type(other).__name__: other.held() for other in self._others}
         clock = recording.clock | {"total_s": recording.elapsed_s()}
         header = {"program": program(), "scene": self._scene, "held": held, "clock": clock}
         self._room.save(header, recording.simulation.state())
         self._last = time.monotonic()
+        if recording.scene.output.checkpoint_s > 0:
+            self._pause_s = max(recording.scene.output.checkpoint_s, (self._last - before) / SHARE)

@@ -273,7 +273,8 @@ class Output:
     node_fields: bool = key(False, "also the fields at every frame for ParaView")
     checkpoint_s: float = key(
         5.0,
-        "a checkpoint, from which the run can be resumed, after so long; 0: wherever the film can be cut",
+        "a checkpoint, from which the run can be resumed, after so long, or longer where they would cost more than "
+        "2 % of the run; 0: wherever the film can be cut",
         unit="s",
         at_least=0,
         at_most=1e6,
