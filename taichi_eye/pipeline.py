@@ -106,6 +106,7 @@ def resume(folder: str | Path, progress: bool = False, threads: int | None = Non
     try:
         room = WorkRoom(folder)
         if (folder / "summary.json").exists() and not room.path.exists():
+            room.tidy()
             return _finished(folder)
         manifest = room.manifest()
         scene = _scene_of(folder, manifest)
@@ -162,7 +163,7 @@ def _scene_of(folder: Path, manifest: dict) -> Scene:
     path = folder / "scene.toml"
     if not path.exists():
         write_text(path, manifest["scene"])
-    if path.read_text(encoding="utf-8") != manifest["scene"]:
+    if path.read_text(encoding="utf-8", errors="replace") != manifest["scene"]:
         raise SceneError(
             f"{path}: was edited since this run began, so it cannot be resumed; run it into another folder"
         )

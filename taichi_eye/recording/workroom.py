@@ -61,24 +61,28 @@ class WorkRoom:
     """The hidden work folder of the run in `folder`."""
 
     def __init__(self, folder: Path):
-        self.folder, self.path = folder, folder / WORK
+        self.folder, self.path, self._gone = folder, folder / WORK, folder / f"{WORK}-gone"
 
     def begin(self, manifest: Mapping[str, Any]) -> None:
         """Make the folder; from the end of this on, the run can be resumed."""
         self.path.mkdir()
-        write_text(self.path / MANIFEST, json.dumps(manifest) + "\n", durable=True)
+        text = json.dumps(manifest)
+        write_text(self.path / MANIFEST, f"{text}\n{_sha256(text.encode())}\n", durable=True)
         settle(self.folder)
 
     def manifest(self) -> dict[str, Any]:
         """What `begin` was given; SceneError where that cannot be read, or was begun by another program."""
         path = self.path / MANIFEST
         try:
-            manifest = json.loads(path.read_text(encoding="utf-8"))
-            by = manifest["program"]
+            text, _, checksum = path.read_bytes().partition(b"\n")
         except FileNotFoundError:
             raise SceneError(f"{self.folder}: holds no run that could be resumed ({path} is missing)") from None
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise SceneError(f"{path}: is damaged ({error}); {ANEW}") from None
+        except OSError as error:
+            raise SceneError(f"{path}: cannot be read ({error.strerror})") from None
+        if checksum != f"{_sha256(text)}\n".encode():
+            raise SceneError(f"{path}: is damaged (its checksum does not match); {ANEW}")
+        manifest = json.loads(text)
+        by = manifest["program"]
         if by != program():
             raise SceneError(f"{self.folder}: was begun by {by}, this is {program()}; resume it with that, or {ANEW}")
         return manifest
@@ -91,7 +95,7 @@ class WorkRoom:
         np.savez(held, header=np.frombuffer(text, np.uint8), **arrays)
         data = held.getbuffer()
         with replacing(self.path / CHECKPOINT, durable=True) as temporary, open(temporary, "wb") as file:
-            file.write(KIND + hashlib.sha256(data).hexdigest().encode() + b"\n")
+            file.write(KIND + _sha256(data).encode() + b"\n")
             file.write(data)
 
     def load(self, scene: Scene) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
@@ -109,7 +113,7 @@ class WorkRoom:
         if kind + b"\n" != KIND:
             raise SceneError(f"{path}: is no checkpoint of this version; {ANEW}")
         checksum, _, data = rest.partition(b"\n")
-        if hashlib.sha256(data).hexdigest().encode() != checksum:
+        if _sha256(data).encode() != checksum:
             raise SceneError(f"{path}: is damaged (its checksum does not match); {ANEW}")
         with np.load(io.BytesIO(data), allow_pickle=False) as held:
             header = json.loads(held["header"].tobytes())
@@ -129,9 +133,16 @@ class WorkRoom:
                 settle(path)
         settle(self.folder)
         # at once for whoever looks: what was begun is gone, and not half of it
-        gone = self.path.with_name(f"{WORK}-gone")
-        os.replace(self.path, gone)
-        shutil.rmtree(gone)
+        os.replace(self.path, self._gone)
+        self.tidy()
+
+    def tidy(self) -> None:
+        """Remove what a process left that was killed while it removed the folder."""
+        shutil.rmtree(self._gone, ignore_errors=True)
+
+
+def _sha256(data) -> str:
+    return hashlib.sha256(data).hexdigest()
 
 
 def _checksum(path: Path, length: int) -> str:

@@ -148,10 +148,13 @@ def test_what_is_damaged_or_of_another_scene_or_program_is_refused(copy, monkeyp
         refused("taichi_eye 99")
     manifest = copy / ".run" / "run.json"
     begun_as = manifest.read_text()
-    manifest.write_text(begun_as.replace('"f64"', '"f32"'))
-    refused("f32")
-    manifest.write_text("{")
-    refused("is damaged")
+    for damaged in (begun_as.replace('"f64"', '"f32"'), "{", ""):
+        manifest.write_text(damaged)
+        refused("is damaged")
+    manifest.write_text(begun_as)
+    with monkeypatch.context() as patch:
+        patch.setattr("taichi_eye.backend.settings", lambda: {"arch": "cpu", "precision": "f32"})
+        refused("was begun on cpu in f64")
 
 
 def test_resuming_takes_no_other_scene(copy, capsys):

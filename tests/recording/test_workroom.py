@@ -86,6 +86,8 @@ def test_a_finished_work_folder_is_gone(room, tmp_path):
     (tmp_path / "frames").mkdir()
     (tmp_path / "frames" / "a.png").touch()
     room.finish()
+    (tmp_path / f"{WORK}-gone").mkdir()  # of a process that was killed just there
+    room.tidy()
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["a.png", "frames"]
     assert not (tmp_path / WORK).exists()
 
