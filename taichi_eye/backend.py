@@ -122,6 +122,11 @@ def real():
     return ti.f64 if _started()["precision"] == "f64" else ti.f32
 
 
+def settings() -> dict:
+    """The arguments of the `init` in force: arch, precision, threads, debug; empty before the first one."""
+    return dict(_active)
+
+
 def generation() -> int:
     """How often the language was started afresh: fields of an earlier generation are lost."""
     _started()

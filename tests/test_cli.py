@@ -291,5 +291,5 @@ def test_help_names_every_flag(capsys):
         cli.main(["run", "--help"])
     assert caught.value.code == 0
     said = capsys.readouterr().out
-    for flag in ("--set", "--out", "--compare", "--arch", "--precision", "--threads", "--quiet"):
+    for flag in ("--set", "--out", "--resume", "--compare", "--arch", "--precision", "--threads", "--quiet"):
         assert flag in said

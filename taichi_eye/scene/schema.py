@@ -274,6 +274,14 @@ class Output:
     png_frames: bool = key(False, "also every frame as a PNG")
     gif: bool = key(False, "also a small looping GIF of the film")
     node_fields: bool = key(False, "also the fields at every frame for ParaView")
+    checkpoint_s: float = key(
+        5.0,
+        "a checkpoint, from which the run can be resumed, after so long, or longer where they would cost more than "
+        "2 % of the run; 0: wherever the film can be cut",
+        unit="s",
+        at_least=0,
+        at_most=1e6,
+    )
 
 
 @dataclass(frozen=True)

@@ -129,6 +129,11 @@ class Reduced:
         return int(self.stepper.steps[None])
 
     @property
+    def wall_velocity(self):
+        """Field of the wall's velocity at the frame shown [m/s], the first `wall_count` nodes."""
+        return self.stepper.shown_velocity
+
+    @property
     def wall_mm(self) -> tuple[np.ndarray, np.ndarray]:
         """Times [ms] of the frames reached and the wall's places (r, z) there [mm], [frames, nodes, 2]."""
         count = min(self.reached // self.clock.samples_per_frame + 1, len(self.frames))

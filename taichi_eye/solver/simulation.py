@@ -72,6 +72,11 @@ class Simulation:
         """Nodes of the cornea."""
         return self.cloud.wall_count
 
+    @property
+    def wall_velocity(self):
+        """Field of the wall's velocity now [m/s], the first `wall_count` nodes."""
+        return self.cornea.velocity
+
     def liquid(self):
         """Fields of the liquid now: place, velocity, excess pressure, and how many nodes they hold."""
         return self.aqueous.place, self.aqueous.velocity, self.aqueous.pressure, self.cloud.count

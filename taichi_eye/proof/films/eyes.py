@@ -167,6 +167,6 @@ class Studio:
 def write_film(frames: np.ndarray, path: Path) -> Path:
     """The frames as film.mp4 of a run would hold them."""
     with FilmWriter(path, 25) as film:
-        for frame, time in zip(frames, TIMES_MS):
-            film.write(frame, time)
+        for frame in frames:
+            film.write(frame)
     return path

@@ -73,7 +73,7 @@ def _compiled(scene: Scene, cloud) -> FilmView:
 
 def _filmed(scene: Scene, cloud, view: FilmView, folder: Path) -> None:
     with FilmWriter(folder / "film.mp4", scene.output.film_fps) as film:
-        Simulation(scene, cloud).run(lambda eye, frame: film.write(view.render(_state(eye)), eye.time_ms))
+        Simulation(scene, cloud).run(lambda eye, frame: film.write(view.render(_state(eye))))
 
 
 def _state(eye: Simulation) -> FrameState:
