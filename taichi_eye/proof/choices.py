@@ -1,9 +1,10 @@
 """`taichi-eye choices`: `numerics.fidelity = "auto"` put to varied scenes.
 
 For each scene and tolerance: what auto picks, its true error against a converged reference, and what it cost, pilots
-included, over the cheapest setting of a grid that would have passed. The reference is `mfpm` extrapolated in h and c;
-the next coarser extrapolation says how uncertain it is. Costs are wall times of packing, set-up and solver, warm,
-medians.
+included, beside the cheapest setting of a grid that would have passed: at most ASKED_RATIO times that or SPARED_S more,
+whichever is larger, is asked. The reference is `mfpm` extrapolated in h and c; the next coarser extrapolation says how
+uncertain it is. Costs are wall times of packing, set-up and solver, warm, medians, so they mean something only on a
+machine with nothing else to do.
 """
 
 import json
