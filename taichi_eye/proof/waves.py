@@ -27,7 +27,7 @@ AREAL_MASS = WALL_DENSITY * THICKNESS
 def tissue(tension: float, k: float = 86.0, prestrain: float = 0.04, nu: float = 0.49):
     """Constants (A, s, nu, eps0) of the solver's tissue with a tension [N/m] at rest."""
     stress = tension / THICKNESS
-    return stress / (2.0 * k * prestrain * np.exp(2.0 * k * prestrain**2)), k / (1.0 + nu), nu, prestrain
+    return float(stress / (2.0 * k * prestrain * np.exp(2.0 * k * prestrain**2))), k / (1.0 + nu), nu, prestrain
 
 
 def _refine(system, clouds, exact, sound_speed, dissipation=DISSIPATION, **setup):

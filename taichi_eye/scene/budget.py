@@ -5,7 +5,7 @@ Memory in bytes, each term measured on runs that are large in it alone:
     a process with its kernels                                  250 MB
     nodes of the liquid            8 kB each, and 40 B for each node and wall node where a flow map is kept
     slit image                     20 B a pixel, the images on their way to the encoder among them
-    particle view, or both         15 B a pixel of the frame
+    particle view, or both         18 B a pixel of the frame
     samples                        1 kB each
     the wall at every film frame   100 B for each frame and wall node
 
@@ -45,7 +45,7 @@ def memory(draft: Draft) -> dict[tuple[str, ...], float]:
         (): 250e6,
         ("numerics.spacing_mm", "numerics.fidelity"): nodes * (8e3 + 40 * walls * mapped),
         image: 20 * draft["camera.width_px"] * draft["camera.height_px"]
-        + 15 * frame_pixels(draft) * (draft["camera.view"] != "scheimpflug"),
+        + 18 * frame_pixels(draft) * (draft["camera.view"] != "scheimpflug"),
         ("numerics.duration_ms", "camera.frame_interval_ms"): 1e3 * duration * (1 / SAMPLE_MS + 1 / interval),
         ("camera.frame_count", "numerics.spacing_mm"): 100 * frames * walls,
     }
