@@ -17,6 +17,7 @@ import io
 import json
 import os
 import shutil
+import weakref
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -174,6 +175,7 @@ class Log:
         self._file = open(path, "r+b" if self.rows else "w+b", buffering=0)
         self._file.truncate(self.rows * self.dtype.itemsize)
         self._file.seek(0, os.SEEK_END)
+        weakref.finalize(self, self._file.close).atexit = False  # read until nobody asks for it any more
 
     def append(self, *values) -> None:
         """Add a row, a value to each of its fields."""
