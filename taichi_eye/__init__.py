@@ -45,7 +45,7 @@ def __getattr__(name):
 
         return simulation_of
     if name == "run_batch":
-        from taichi_eye.solver.batch import run_batch
+        from taichi_eye.ladder.batches import run_batch
 
         return run_batch
     if name in ("run", "resume", "RunResult"):

@@ -17,20 +17,17 @@ from taichi_eye.errors import RunStopped
 from taichi_eye.ladder.rungs import simulation_of
 from taichi_eye.report.history import History, summarise
 from taichi_eye.scene import Scene
+from taichi_eye.solver.batch import Outcome
 
 
 @dataclass(frozen=True)
-class Trial:
-    """What a run left.
+class Trial(Outcome):
+    """An outcome, and what it took.
 
-    traces: arrays by column, up to the stop; stop: the guard's, None for a run that got to its end; steps: taken;
-    nodes: of the cloud, of the wall where there is none; set_up_s, solver_s: wall time before the first step (packing
-    included, where no cloud was given) and from there on.
+    steps: taken; nodes: of the cloud, of the wall where there is none; set_up_s, solver_s: wall time before the first
+    step (packing included, where no cloud was given) and from there on.
     """
 
-    scene: Scene
-    traces: dict[str, np.ndarray]
-    stop: RunStopped | None
     steps: int
     nodes: int
     set_up_s: float

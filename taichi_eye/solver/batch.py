@@ -18,7 +18,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from tqdm import tqdm
 
 from taichi_eye import backend
 from taichi_eye.cloud.packing import Cloud
@@ -38,7 +37,6 @@ from taichi_eye.units import MM
 
 # a batch's own share of its state, arrays [eyes]
 KEPT = ("steps", "rebuilds", "recorded", "_binding", "_dt", "_going")
-AT_ONCE = 2**18  # nodes that `run_batch` holds in memory, some 3 kB each
 
 
 @dataclass(frozen=True)
@@ -96,6 +94,7 @@ class Batch:
         self._figures = self.sampler.figures(eyes)
         self.sampler.take(self._eyes, np.zeros(eyes, dtype=int), self._dt, self._dt, np.zeros((eyes, 1)))
         self._history[0] = self.sampler.rows[:eyes]
+        self._restored = False
         self._refuse_ill_stencils()
 
     def _place_at_rest(self, number: int) -> None:
@@ -144,12 +143,17 @@ class Batch:
         return float(self.clouds[eye].points[int(node), 0]) / MM
 
     def run(self, on_sample: Callable[["Batch"], None] | None = None) -> list[Outcome]:
-        """Run all eyes to their ends or stops; call on_sample(self) at each sample. Returns what became of each."""
-        if not self.recorded.any():
+        """Run all eyes to their ends or stops; call on_sample(self) at each sample. Returns what became of each.
+
+        A batch that was restored goes on after the sample of its state.
+        """
+        restored, self._restored = self._restored, False
+        if not restored:
             self.record()
         while True:
-            if on_sample:
+            if on_sample and not restored:
                 on_sample(self)
+            restored = False
             if not self.advance():
                 return [Outcome(scene, self.traces(eye), self.stops[eye]) for eye, scene in enumerate(self.scenes)]
             self.record()
@@ -252,49 +256,4 @@ class Batch:
             getattr(self, name)[:] = state[name]
         self.stops = [RunStopped(*ast.literal_eval(text)) if text else None for text in state["stops"].tolist()]
         self._workspace.restore(state)
-
-
-def run_batch(scenes: Sequence[Scene], progress: bool = False) -> list[Outcome]:
-    """Run scenes together under the full model, whatever their `numerics.fidelity`; what became of each, in their
-    order.
-
-    Scenes may differ in everything; those of one basis run side by side, AT_ONCE nodes at a time. An eye that leaves
-    its validity stops alone and keeps its traces up to there. progress: a bar on the terminal. Raises SceneError where
-    a
-    chamber cannot be filled or its stencils are no good.
-    """
-    clouds = clouds_of(scenes)
-    outcomes: list[Outcome | None] = [None] * len(scenes)
-    with tqdm(
-        total=sum(scene.numerics.duration_ms for scene in scenes),
-        unit=" ms",
-        disable=not progress,
-        dynamic_ncols=True,
-        bar_format="{desc}{percentage:3.0f}%|{bar}| {n:.0f}/{total:.0f} ms [{elapsed}<{remaining}]",
-        desc=f"{len(scenes)} eyes: ",
-    ) as bar:
-        for chosen in _parcels(scenes, clouds):
-            before = bar.n
-            batch = Batch([scenes[k] for k in chosen], [clouds[k] for k in chosen])
-            told = lambda batch, before=before: bar.update(
-                before + float(((batch.recorded - 1) * batch.sample_ms).sum()) - bar.n
-            )
-            for k, outcome in zip(chosen, batch.run(told)):
-                outcomes[k] = outcome
-            bar.update(before + sum(scenes[k].numerics.duration_ms for k in chosen) - bar.n)
-    return outcomes
-
-
-def _parcels(scenes, clouds):
-    """Numbers of the scenes that run side by side: one basis, AT_ONCE nodes or a single eye."""
-    for basis in sorted({scene.numerics.basis for scene in scenes}):
-        parcel, nodes = [], 0
-        for k, (scene, cloud) in enumerate(zip(scenes, clouds)):
-            if scene.numerics.basis != basis:
-                continue
-            if parcel and nodes + cloud.count > AT_ONCE:
-                yield parcel
-                parcel, nodes = [], 0
-            parcel.append(k)
-            nodes += cloud.count
-        yield parcel
+        self._restored = True

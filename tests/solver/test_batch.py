@@ -3,16 +3,15 @@
 import json
 import subprocess
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from taichi_eye import backend
-from taichi_eye.errors import RunStopped, SceneError
+from taichi_eye.errors import RunStopped
 from taichi_eye.scene import load_scene
 from taichi_eye.solver import coupling, sample
-from taichi_eye.solver.batch import Batch, run_batch
+from taichi_eye.solver.batch import Batch
 from taichi_eye.solver.case import clouds_of
 from taichi_eye.solver.simulation import Simulation
 
@@ -139,27 +138,9 @@ def test_eyes_of_one_chamber_share_a_packed_cloud():
     assert one is other and one is not third
 
 
-def test_run_batch_keeps_the_order_over_bases_and_parcels(alone, monkeypatch):
-    from taichi_eye.solver import batch
-
-    scenes = [scene(EYES[0]), scene(("numerics.basis=cubic", "numerics.duration_ms=1")), scene(EYES[1]), scene(EYES[2])]
-    monkeypatch.setattr(batch, "AT_ONCE", clouds_of(scenes)[0].count + 1)
-    outcomes = run_batch(scenes)
-    assert [outcome.scene for outcome in outcomes] == scenes
-    for outcome, number in ((outcomes[0], 0), (outcomes[2], 1), (outcomes[3], 2)):
-        assert_same(outcome.traces, alone[number][0])
-    assert outcomes[1].stop is None and outcomes[1].traces["time_ms"][-1] == pytest.approx(1.0, abs=0.03)
-
-
 def test_eyes_of_different_bases_do_not_stand_side_by_side():
     with pytest.raises(ValueError, match="numerics.basis"):
         Batch([scene(()), scene(("numerics.basis=cubic",))])
-
-
-def test_a_scene_that_cannot_be_filled_is_named():
-    coarse = replace(scene(()), numerics=replace(scene(()).numerics, spacing_mm=2.0))
-    with pytest.raises(SceneError, match="scene 1 of the batch: numerics.spacing_mm = 2"):
-        run_batch([scene(()), coarse])
 
 
 def test_single_precision_gives_the_same_histories_to_its_accuracy(alone):

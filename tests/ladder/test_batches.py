@@ -1,0 +1,103 @@
+"""Many scenes in one call: their order, every rung, and a call that is cut off."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from taichi_eye.errors import SceneError
+from taichi_eye.ladder import batches
+from taichi_eye.ladder.batches import run_batch
+from taichi_eye.ladder.rungs import simulation_of
+from taichi_eye.scene import load_scene
+from taichi_eye.solver.case import clouds_of
+
+BASE = ("numerics.spacing_mm=0.4", "numerics.sound_speed_m_s=20", "numerics.duration_ms=6", "puff.duration_ms=12")
+KEYS = [
+    (),
+    ("numerics.fidelity=cavity", "eye.iop_mmhg=20"),
+    ("numerics.basis=cubic", "numerics.duration_ms=1"),
+    ("eye.iop_mmhg=22",),
+    ("numerics.fidelity=added_mass",),
+    ("eye.iop_mmhg=1",),
+    ("puff.peak_kpa=6",),
+]
+
+
+def scene(keys):
+    return load_scene(None, (*BASE, *keys))
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return [scene(keys) for keys in KEYS]
+
+
+@pytest.fixture(scope="module")
+def alone(scenes):
+    found = []
+    for each in scenes:
+        simulation = simulation_of(each)
+        try:
+            simulation.run()
+        except batches.RunStopped:
+            pass
+        found.append(simulation.traces)
+        del simulation
+    return found
+
+
+def assert_same(outcomes, scenes, alone):
+    assert [outcome.scene for outcome in outcomes] == scenes
+    for outcome, traces in zip(outcomes, alone):
+        for column, values in traces.items():
+            np.testing.assert_array_equal(outcome.traces[column], values, err_msg=column)
+    assert [outcome.stop is not None for outcome in outcomes] == [keys == ("eye.iop_mmhg=1",) for keys in KEYS]
+
+
+def test_every_rung_gives_what_it_gives_alone_in_order(scenes, alone, monkeypatch):
+    monkeypatch.setattr(batches, "AT_ONCE", clouds_of(scenes)[0].count + 1)
+    assert_same(run_batch(scenes), scenes, alone)
+
+
+@pytest.mark.parametrize("after", [3, 40, 500])
+def test_a_call_that_was_cut_off_goes_on_to_the_same_bits(after, scenes, alone, monkeypatch, tmp_path):
+    monkeypatch.setattr(batches, "AT_ONCE", 2 * clouds_of(scenes)[0].count + 1)
+    monkeypatch.setattr(batches, "KEEP_S", 0.0)
+    kept, looks, hold = tmp_path / "kept.npz", [], batches._Kept.hold
+
+    def cut(self, *given):
+        hold(self, *given)
+        looks.append(1)
+        if len(looks) == after:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(batches._Kept, "hold", cut)
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(scenes, keep=kept)
+    monkeypatch.setattr(batches._Kept, "hold", lambda self, *given: looks.append(1))
+    assert_same(run_batch(scenes, keep=kept), scenes, alone)
+    assert not kept.exists() and not list(tmp_path.iterdir())
+    # nothing is done twice: the samples of all calls are those of one
+    monkeypatch.setattr(batches._Kept, "hold", lambda self, *given: whole.append(1))
+    whole = []
+    run_batch(scenes, keep=tmp_path / "other.npz")
+    assert len(looks) == len(whole)
+
+
+def test_a_file_of_other_scenes_or_a_damaged_one_is_refused(scenes, monkeypatch, tmp_path):
+    kept = tmp_path / "kept.npz"
+    monkeypatch.setattr(batches, "KEEP_S", 0.0)
+    monkeypatch.setattr(batches._Kept, "take_up", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    batches._Kept(kept, scenes).write([None] * len(scenes))
+    with pytest.raises(SceneError, match="kept.npz: was kept by a call with other scenes"):
+        run_batch(scenes[:2], keep=kept)
+    kept.write_bytes(kept.read_bytes()[:-40])
+    with pytest.raises(SceneError, match="kept.npz: cannot be gone on from"):
+        run_batch(scenes, keep=kept)
+
+
+def test_a_scene_that_cannot_be_filled_is_named():
+    coarse = replace(scene(()), numerics=replace(scene(()).numerics, spacing_mm=2.0))
+    with pytest.raises(SceneError, match="scene 1 of the batch: numerics.spacing_mm = 2"):
+        run_batch([scene(()), coarse])
