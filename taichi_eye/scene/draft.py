@@ -11,6 +11,7 @@ import difflib
 import json
 import math
 import numbers
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +76,9 @@ class Draft:
                 return None
         if not isinstance(value, kind) or isinstance(value, float) and not math.isfinite(value):
             return None
+        if isinstance(value, float) and abs(value) < sys.float_info.min:
+            # the kernel language's start makes the processor take such numbers for zero: they are, before and after it
+            value = 0.0
         if isinstance(value, str) and not _encodable(value):
             return None
         return value if not (self.within_limits or spec.choices) or spec.holds(value) else None

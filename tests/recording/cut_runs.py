@@ -49,7 +49,14 @@ def started(*words) -> subprocess.Popen:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         env=os.environ | {"PYTHONPATH": path},
+        preexec_fn=heeding,
     )
+
+
+def heeding() -> None:
+    """Take signals as a shell's foreground does, also where these tests run in the background (`nohup`, `&`)."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
 
 
 def begun(case: str, folder: Path) -> subprocess.Popen:

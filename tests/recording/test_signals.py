@@ -14,6 +14,18 @@ def send(number):
     os.kill(os.getpid(), number)
 
 
+@pytest.fixture
+def heeding():
+    """Signals by their defaults, also where these tests run in the background (`nohup`, `&`)."""
+    before = {number: signal.getsignal(number) for number in ENDING}
+    for number in ENDING:
+        signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("heeding")
 @pytest.mark.parametrize("number", ENDING)
 def test_each_phase_takes_a_signal_its_way(number):
     before = signal.getsignal(number)
