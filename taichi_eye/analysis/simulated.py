@@ -1,7 +1,9 @@
 """The dynamic corneal response of a scene: its run without a film, read from the computed wall itself.
 
 What `taichi-eye analyze` reads from a recorded or rendered film, without the camera between: the same definitions
-(`taichi_eye.analysis.response`) on the wall at the times of the film's frames, whole-eye movement included.
+(`taichi_eye.analysis.response`) on the wall at the times of the film's frames, whole-eye movement included. As
+on the instrument, IOPnct comes from the A1 time and bIOP, for SP-A1, from it and the thickness, at the age of the eyes
+whose norms it is held against.
 """
 
 from __future__ import annotations
@@ -10,9 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_eye.analysis.curves import curves_from_wall
+from taichi_eye.analysis.curves import Curves, curves_from_wall
+from taichi_eye.analysis.norms import ELDERLY_AGE_YEARS
 from taichi_eye.analysis.response import Response, respond
-from taichi_eye.eye.eye import eye_of
+from taichi_eye.eye.eye import Eye, eye_of
 from taichi_eye.ladder.choose import choose
 from taichi_eye.ladder.trial import run_scene
 from taichi_eye.scene import Scene
@@ -29,8 +32,33 @@ class Reading:
     stopped: str = ""
 
 
+@dataclass(frozen=True)
+class Walk:
+    """A scene as it was run, its eye, and the curves of its wall; None where there are too few frames of them."""
+
+    scene: Scene
+    eye: Eye
+    curves: Curves | None
+    stopped: str = ""
+
+    def read(self, **windows) -> Reading:
+        """The response; windows: those of `respond` that are not its defaults."""
+        if self.curves is None:
+            return Reading(Response(), self.stopped)
+        puff = lambda t: float(self.eye.puff.pressure_at_apex(t * MS)) / MMHG
+        interval = self.scene.camera.frame_interval_ms
+        return Reading(
+            respond(self.curves, interval, puff_mmhg=puff, age_years=ELDERLY_AGE_YEARS, **windows), self.stopped
+        )
+
+
 def response_of(scene: Scene) -> Reading:
     """Run a resolved scene without a film and read the dynamic corneal response from its wall."""
+    return walk(scene).read()
+
+
+def walk(scene: Scene) -> Walk:
+    """Run a resolved scene without a film and keep the curves of its wall."""
     if scene.numerics.fidelity == "auto":
         scene = choose(scene).scene
     times, walls, eye = [], [], eye_of(scene)
@@ -43,12 +71,6 @@ def response_of(scene: Scene) -> Reading:
     stop = run_scene(scene, on_frame=keep).stop
     stopped = f"{stop.what}, {stop.time_ms:.1f} ms" if stop else ""
     if len(times) < FRAMES_LEAST:
-        return Reading(Response(), stopped or "too few frames")
+        return Walk(scene, eye, None, stopped or "too few frames")
     r, z = np.moveaxis(np.array(walls), 2, 0)
-    response = respond(
-        curves_from_wall(np.array(times), r, z, scene.cornea.thickness_mm),
-        scene.camera.frame_interval_ms,
-        scene.eye.iop_mmhg,
-        lambda t: float(eye.puff.pressure_at_apex(t * MS)) / MMHG,
-    )
-    return Reading(response, stopped)
+    return Walk(scene, eye, curves_from_wall(np.array(times), r, z, scene.cornea.thickness_mm), stopped)
