@@ -3,9 +3,9 @@
 The wall of an eye, in-plane tissue and all that resists bending, is taken from its rest at its own pressure to its rest
 at another one, with the limbus held: statics of the whole shell, not a closed form and no dynamics. Newton's method on
 the solver's own forces; a node feels no more than two neighbours on either side, so five colours of perturbed nodes
-give the whole banded Jacobian. The pressure is changed in steps. What relaxes (overstress) has relaxed. Far from its
-rim a uniform shell rises as a whole sphere does, by p R^2 (1 - nu)/(2 E h) while strains are small (`free_sphere`,
-which takes the law as it is).
+give the whole banded Jacobian. The pressure is changed in steps. What relaxes (overstress) has relaxed. A uniform shell
+rises as a whole sphere does, by p R^2 (1 - nu)/(2 E h) while strains are small (`free_sphere`, which takes the law as
+it is), and by what its held edge adds, of a membrane (1 + nu) sqrt(p R/(2 E h)) of that.
 """
 
 from __future__ import annotations
