@@ -17,6 +17,7 @@ from taichi_eye.analysis.norms import ELDERLY_AGE_YEARS, POPULATIONS
 from taichi_eye.analysis.response import READ_AS
 from taichi_eye.proof import clinic
 from taichi_eye.proof.dcr import FACTOR, PER_10_UM, PER_MMHG, SHOWN, Slope, Study
+from taichi_eye.proof.population import SimulatedEye
 from taichi_eye.report.folder import replacing
 from taichi_eye.report.page import COLOURS, picture, plain, table, write_page
 
@@ -52,6 +53,12 @@ def words(study: Study) -> list[str]:
             f"Slopes {unit}{meaning}: {sum(slope.verdict == 'yes' for slope in here)} of {len(here)} hold, {signs} "
             "have the sign or the zero" + _but([SHOWN[s.name].split(",")[0] for s in here if s.verdict != "yes"])
         )
+    if stopped := [eye for eye in study.population if eye.stopped]:
+        which = ", ".join(f"{eye.iop_mmhg:g} mmHg {eye.thickness_um:.0f} um" for eye in stopped)
+        lines.append(
+            f"Slopes are those of {len(study.population) - len(stopped)} of {len(study.population)} simulated eyes: "
+            f"the others were stopped ({which}: {stopped[0].stopped})."
+        )
     shown = [eye for eye in study.line if not eye.stopped and eye.response.biop_mmhg is not None]
     least, most = shown[0], shown[-1]
     lines.append(
@@ -76,6 +83,7 @@ def tables(study: Study) -> dict[str, tuple[list[str], list[list[str]], list[int
         "The same eyes read over other zones": _zones(study),
         "Velocities as differences over +- so many frames": _speeds(study),
         "One switch at a time set back": _switches(study),
+        "The simulated eyes": _eyes(study),
     }
 
 
@@ -188,6 +196,28 @@ def _switches(study: Study):
     )
 
 
+def _eyes(study: Study):
+    eyes = _all_eyes(study)
+    body = [
+        [
+            f"{eye.iop_mmhg:g}",
+            f"{eye.thickness_um:.0f}",
+            _cell(eye.response.iop_nct_mmhg),
+            _cell(eye.response.biop_mmhg),
+            *(_cell(getattr(eye.response, name)) for name in SHOWN),
+            eye.stopped,
+        ]
+        for eye in eyes
+    ]
+    head = ["IOP, mmHg", "thickness, um", "IOPnct", "bIOP", *SHOWN.values(), "stopped"]
+    return head, body, [k for k, eye in enumerate(eyes) if eye.stopped]
+
+
+def _all_eyes(study: Study) -> list[SimulatedEye]:
+    """The population, and what the groups needed beyond it."""
+    return study.population + [eye for eye in study.line if eye not in study.population]
+
+
 def write(study: Study, folder: Path) -> Path:
     """clinic.png and clinic.html into the folder; the page's path."""
     canvas = draw(study)
@@ -256,6 +286,15 @@ def as_json(study: Study) -> dict:
                 "a1_velocity_per_mmhg": _finite(row.a1_velocity_per_mmhg),
             }
             for row in study.zones
+        ],
+        "eyes": [
+            {
+                "iop_mmhg": eye.iop_mmhg,
+                "thickness_um": eye.thickness_um,
+                **{name: getattr(eye.response, name) for name in ("iop_nct_mmhg", "biop_mmhg", *SHOWN)},
+                "stopped": eye.stopped,
+            }
+            for eye in _all_eyes(study)
         ],
         "speeds": [asdict(row) for row in study.speeds],
         "switches": {
@@ -372,7 +411,7 @@ def _draw_per_10_um(axes, slopes: list[Slope]) -> None:
         axes.errorbar(slope.measured / unit, row + 0.2, xerr=error, fmt="D", color=MEASURED, markersize=4)
         _dot(axes, slope.computed / unit, row - 0.08, slope.verdict == "yes", 3.0)
     axes.set_xlim(-3.2, 3.2)
-    axes.set_xlabel("mmHg that 10 \N{MICRO SIGN}m are worth, at equal A1 time")
+    axes.set_xlabel("mmHg worth of 10 \N{MICRO SIGN}m, at equal A1 time", fontsize=9)
     axes.set_title("Slopes with thickness", loc="left", fontsize=11)
     for label, colour in (("simulated, holds", COMPUTED), ("simulated, does not", MISSED)):
         axes.plot([], [], "o", color=colour, markersize=8, label=label)

@@ -23,7 +23,7 @@ IOP_STEPS_MMHG = -4.0, -2.0, 0.0, 2.0, 4.0
 THICKNESS_STEPS_UM = -38.0, 0.0, 38.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SimulatedEye:
     """An eye of the population; walk: its curves, to be read once more with other windows."""
 

