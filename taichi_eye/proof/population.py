@@ -36,15 +36,16 @@ class SimulatedEye:
 
 def eye_at(scene: Scene, iop_mmhg: float, thickness_um: float) -> Scene:
     """The scene's eye at another pressure and central thickness."""
-    cornea, was = scene.cornea, scene.eye.iop_mmhg
+    cornea, was, own = scene.cornea, scene.eye.iop_mmhg, scene.values()
     thicker = 1e-3 * thickness_um - cornea.thickness_mm
     changes = {
         "eye.iop_mmhg": iop_mmhg,
         "cornea.thickness_mm": cornea.thickness_mm + thicker,
         "cornea.limbus_thickness_mm": cornea.limbus_thickness_mm + thicker,
-        "chamber.compliance_mm3_mmhg": scene.chamber.compliance_mm3_mmhg * was / iop_mmhg,
     }
-    own = scene.values()
+    # a linear globe is taken at each pressure anew; one after Friedenwald follows the pressure itself
+    if own.get("chamber.globe_law", "linear") == "linear":
+        changes["chamber.compliance_mm3_mmhg"] = scene.chamber.compliance_mm3_mmhg * was / iop_mmhg
     return scene.but({name: value for name, value in changes.items() if value != own[name]})
 
 
