@@ -14,7 +14,7 @@ import numpy as np
 
 from taichi_eye.analysis.curves import Curves, curves_from_wall
 from taichi_eye.analysis.norms import ELDERLY_AGE_YEARS
-from taichi_eye.analysis.response import Response, respond
+from taichi_eye.analysis.response import SPEED_MS, Response, respond
 from taichi_eye.eye.eye import Eye, eye_of
 from taichi_eye.ladder.choose import choose
 from taichi_eye.ladder.trial import run_scene
@@ -24,9 +24,17 @@ from taichi_eye.units import MM, MMHG, MS
 FRAMES_LEAST = 30  # fewer show no response
 
 
+# what a run that was stopped may have shown before
+EARLY = ("a1_", "iop_nct", "biop", "sp_a1", "central_thickness")
+
+
 @dataclass(frozen=True)
 class Reading:
-    """The response of a scene, up to where its run ended; stopped: why that was not its end, or empty."""
+    """The response of a scene; stopped: why its run ended before its end, or empty.
+
+    Of a stopped run the response holds what belongs to A1, where that was passed by the width of the readings' windows:
+    the largest dent of half a puff is none.
+    """
 
     response: Response
     stopped: str = ""
@@ -47,9 +55,12 @@ class Walk:
             return Reading(Response(), self.stopped)
         puff = lambda t: float(self.eye.puff.pressure_at_apex(t * MS)) / MMHG
         interval = self.scene.camera.frame_interval_ms
-        return Reading(
-            respond(self.curves, interval, puff_mmhg=puff, age_years=ELDERLY_AGE_YEARS, **windows), self.stopped
-        )
+        response = respond(self.curves, interval, puff_mmhg=puff, age_years=ELDERLY_AGE_YEARS, **windows)
+        if self.stopped:
+            passed = response.a1_time_ms is not None and self.curves.time_ms[-1] > response.a1_time_ms + SPEED_MS
+            early = {n: value for n, value in vars(response).items() if n.startswith(EARLY)} if passed else {}
+            response = Response(**early)
+        return Reading(response, self.stopped)
 
 
 def response_of(scene: Scene) -> Reading:

@@ -36,7 +36,7 @@ def words(study: Study) -> list[str]:
     """What the study found, in sentences."""
     own, thickness = study.own.response, study.own.thickness_um
     if study.own.stopped:
-        return [f"{study.name}: the run was stopped ({study.own.stopped}); what is missing below was not reached."]
+        return [f"{study.name}: the run was stopped ({study.own.stopped}); only what belongs to A1 is shown of it."]
     shown = f"{study.name}, an eye of {study.own.iop_mmhg:g} mmHg and {thickness:.0f} um"
     if own.biop_mmhg is None:
         return [f"{shown}, does not applanate: the instrument would show no pressure."]

@@ -6,7 +6,7 @@ the measured one in its standard error, or in a fifth of it where that is more, 
 regression's errors say how well 194 eyes know a slope, not how well a model is asked to meet it). A round takes one
 change of each key by STEP for the derivatives; an evaluation five eyes (`taichi_eye.proof.population.starred`), or the
 one where no slope is asked for. What an eye does not show, because a guard stopped it or it does not applanate, counts
-as a residual of MISSING.
+as a residual of MISSING, and so does every eye that is stopped: a fit may not win by losing its worst eye.
 
 A fit ends in the minimum nearest to its start, and there may be others: what rings after the snap makes A2 velocity
 rise and fall with the bending stiffness of corvis_healthy.toml, so that a fit of levels from a tenth above it may stay
@@ -38,6 +38,7 @@ from taichi_eye.scene.draft import CHANGE, Draft
 from taichi_eye.scene.schema import all_keys
 
 LEVEL = "level"
+STOPPED = "stopped"  # the name of the target that counts stopped eyes
 STEP = 0.02  # of the logarithm of a key, for derivatives
 REACH = 20.0  # a key may go that factor up and down
 SHARE = 0.2  # of a measured slope, the least that its residual is counted in
@@ -71,7 +72,7 @@ class Fit:
 
 
 def clinical_targets() -> tuple[Target, ...]:
-    """Every level that has a judging population, and every measured slope."""
+    """Every level that has a judging population, every measured slope, and no eye stopped."""
     found = []
     for name in SHOWN:
         if judge := judged_by(name):
@@ -79,7 +80,7 @@ def clinical_targets() -> tuple[Target, ...]:
     for slope in slopes_of([]):
         scale = max(slope.error or 0.0, 0.0 if slope.measured_zero else SHARE * abs(slope.measured))
         found.append(Target(slope.name, slope.unit, slope.measured, scale))
-    return tuple(found)
+    return (*found, Target(STOPPED, "eyes", 0.0, 1.0 / MISSING))
 
 
 def figures(scene: Scene, targets: Sequence[Target], tell: Callable[[], None] = lambda: None) -> list[float | None]:
@@ -92,6 +93,7 @@ def figures(scene: Scene, targets: Sequence[Target], tell: Callable[[], None] = 
         eyes.append(simulate(scene, iop, thickness))
         tell()
     known = {(slope.name, slope.unit): slope.computed for slope in slopes_of(eyes)}
+    known[STOPPED, "eyes"] = float(sum(bool(eye.stopped) for eye in eyes))
     own = eyes[0]
     out = []
     for target in targets:
@@ -190,7 +192,7 @@ def fit(
 
     zero = np.zeros(len(start))
     before = at(zero)
-    if all(value is None for value in before):
+    if all(value is None for value, target in zip(before, targets) if target.name != STOPPED):
         why = simulate(scene, scene.eye.iop_mmhg, 1e3 * scene.cornea.thickness_mm).stopped or "it does not applanate"
         raise SceneError(f"the scene's own eye shows nothing to fit, so that a fit has no start: {why}")
     result = least_squares(
@@ -263,7 +265,7 @@ def lines(found: Fit) -> list[str]:
             off = residuals([value], [target])[0]
             cells += ["-", ""] if value is None else [f"{value:.4g}", f"{off:+.1f}"]
         unit = "" if target.unit == LEVEL else target.unit
-        rows.append([SHOWN[target.name], unit, f"{target.value:g} +- {target.scale:.3g}", *cells])
+        rows.append([SHOWN.get(target.name, target.name), unit, f"{target.value:g} +- {target.scale:.3g}", *cells])
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     out = ["  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths)).rstrip() for row in rows]
     end = "" if found.finished else ": not at rest yet, go on from the overrides"

@@ -70,7 +70,9 @@ def test_levels_and_slopes_lead_back_in_closed_form(monkeypatch, units):
 
 def test_the_targets_are_all_levels_and_slopes_and_a_factor_of_one_and_a_half_counts_alike():
     targets = {(target.name, target.unit): target for target in refit.clinical_targets()}
-    assert len(targets) == 12 + 18
+    assert len(targets) == 12 + 18 + 1
+    stopped = targets.pop((refit.STOPPED, "eyes"))
+    assert refit.residuals([2.0], [stopped])[0] == 2.0 * refit.MISSING
     off = {key: refit.residuals([1.5 * target.value], [target])[0] for key, target in targets.items()}
     assert off["deformation_amplitude_mm", "per mmHg"] == pytest.approx(-2.5)
     # 194 eyes know that one less well than by a fifth
@@ -78,6 +80,23 @@ def test_the_targets_are_all_levels_and_slopes_and_a_factor_of_one_and_a_half_co
     zero = targets["deformation_amplitude_mm", "per 10 um"]
     assert zero.scale == 0.0017 and refit.residuals([None], [zero])[0] == refit.MISSING
     assert targets["a1_time_ms", refit.LEVEL].value == 7.52
+
+
+def test_a_stopped_eye_counts_and_its_figures_do_not(monkeypatch):
+    stops = lambda scene, iop, thickness: (
+        SimulatedEye(iop, thickness, None, Response(a1_time_ms=1.0), "folded")
+        if iop < scene.eye.iop_mmhg
+        else synthetic(scene, iop, thickness)
+    )
+    scene, targets = load_scene(HEALTHY, QUICK), refit.clinical_targets()
+    monkeypatch.setattr(refit, "simulate", synthetic)
+    whole = dict(zip(targets, refit.figures(scene, targets)))
+    monkeypatch.setattr(refit, "simulate", stops)
+    lost = dict(zip(targets, refit.figures(scene, targets)))
+    count = next(target for target in targets if target.name == refit.STOPPED)
+    assert (whole[count], lost[count]) == (0.0, 1.0)
+    time = next(target for target in targets if (target.name, target.unit) == ("a1_time_ms", "per mmHg"))
+    assert lost[time] == pytest.approx(whole[time], rel=1e-6)
 
 
 def test_a_key_that_nothing_hangs_on_is_said_to_be_unknown(monkeypatch):
@@ -124,5 +143,5 @@ def test_the_command_prints_overrides_that_can_be_pasted(tmp_path, monkeypatch, 
     scene = load_scene(HEALTHY, changes)
     for name, value in found["overrides"].items():
         assert scene.values()[name] == pytest.approx(value, rel=1e-5)
-    assert found["cost"]["after"] < found["cost"]["before"] and len(found["targets"]) == 30
+    assert found["cost"]["after"] < found["cost"]["before"] and len(found["targets"]) == 31
     assert [path.name for path in tmp_path.iterdir()] == ["fit.json"]
