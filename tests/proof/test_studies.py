@@ -79,9 +79,9 @@ def test_choices_keep_their_tolerance_on_a_coarse_reference(there, monkeypatch):
 
 
 def test_the_clinical_scene_stays_within_the_norms(there, monkeypatch, capsys):
-    monkeypatch.setattr(population, "IOP_STEPS_MMHG", (-3.0, 0.0, 3.0))
-    monkeypatch.setattr(population, "THICKNESS_STEPS_UM", (-30.0, 0.0, 30.0))
-    monkeypatch.setattr(public, "LEAST_MMHG", 11.0)
+    monkeypatch.setattr(population, "IOP_STEPS_MMHG", (-1.0, 0.0, 3.0))
+    monkeypatch.setattr(population, "THICKNESS_STEPS_UM", (0.0, 30.0))
+    monkeypatch.setattr(public, "LEAST_MMHG", 12.0)
     monkeypatch.setattr(windows, "ZONES_MM", (1.0, 1.5))
     monkeypatch.setattr(dcr, "SWITCHES", {name: dcr.SWITCHES[name] for name in ("yielding globe", "thicker rim")})
     coarse = ["--set", "numerics.fidelity=cavity", "--set", "numerics.spacing_mm=0.25"]
