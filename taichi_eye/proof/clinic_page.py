@@ -137,7 +137,8 @@ def _groups(study: Study):
 def _donors(study: Study):
     row, (least, most) = study.donors, clinic.DONOR_NM_PER_MMHG
     head = ["", "computed, nm/mmHg", "whole sphere of the same tissue", "measured", "within"]
-    body = [["apex", f"{row.computed:.0f}", f"{row.free_sphere:.0f}", f"{least:g} to {most:g}", _yes(row.holds)]]
+    found = ["no rest found" if rise is None else f"{rise:.0f}" for rise in (row.computed, row.free_sphere)]
+    body = [["apex", *found, f"{least:g} to {most:g}", _yes(row.holds)]]
     return head, body, [] if row.holds else [0]
 
 

@@ -99,7 +99,10 @@ class HeldCornea:
             band[half + row - held, held] = 0.0
             band[half + held - row, row] = 0.0
             band[half, held] = -stiff
-        return solve_banded((half, half), band, np.where(self._free, -force, 0.0)).reshape(-1, 2)
+        try:
+            return solve_banded((half, half), band, np.where(self._free, -force, 0.0)).reshape(-1, 2)
+        except (np.linalg.LinAlgError, ValueError):  # singular, or no numbers any more
+            raise ArithmeticError(f"no rest found at {self.cornea.iop[0] / MMHG:.3g} mmHg") from None
 
 
 def apex_rise(eye: Eye, low: float, high: float) -> float:
@@ -112,7 +115,7 @@ def apex_rise(eye: Eye, low: float, high: float) -> float:
 
 
 def free_sphere(eye: Eye, low: float, high: float) -> float:
-    """The same of a whole sphere of the eye's central tissue [m]: its wall carries p R lam^2 / (2 h) over lam."""
+    """The same of a whole sphere of the eye's central tissue [m], S(lam) = p R lam / (2 h) with Piola-Kirchhoff's S."""
     law, coefficients, shift = eye.cornea.law.of_arrays, eye.cornea.coefficients, eye.apex_prestrain
     radius, thickness = eye.section.radius, eye.cornea.thickness
 

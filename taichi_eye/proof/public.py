@@ -50,16 +50,19 @@ class GroupRow:
 
 @dataclass(frozen=True)
 class DonorRow:
-    """Apex rise [nm/mmHg] of the inflated cornea, and of a whole sphere of its tissue in closed form."""
+    """Apex rise [nm/mmHg] of the inflated cornea, and of a whole sphere of its tissue in closed form.
 
-    computed: float
-    free_sphere: float
+    None where such a cornea does not come to rest between the two pressures.
+    """
+
+    computed: float | None
+    free_sphere: float | None
 
     @property
     def holds(self) -> bool:
         """Whether it lies among the measured ones."""
         least, most = clinic.DONOR_NM_PER_MMHG
-        return least <= self.computed <= most
+        return self.computed is not None and least <= self.computed <= most
 
 
 @dataclass(frozen=True)
@@ -119,7 +122,10 @@ def donors(scene: Scene) -> DonorRow:
     """The scene's cornea inflated as donor corneas were."""
     eye, (low, high) = eye_of(scene), (pressure * MMHG for pressure in clinic.DONOR_MMHG)
     per_mmhg = (clinic.DONOR_MMHG[1] - clinic.DONOR_MMHG[0]) * NM
-    return DonorRow(apex_rise(eye, low, high) / per_mmhg, free_sphere(eye, low, high) / per_mmhg)
+    try:
+        return DonorRow(apex_rise(eye, low, high) / per_mmhg, free_sphere(eye, low, high) / per_mmhg)
+    except ArithmeticError:
+        return DonorRow(None, None)
 
 
 def stiffened(scene: Scene, own: SimulatedEye) -> list[StiffRow]:
