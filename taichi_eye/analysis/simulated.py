@@ -41,7 +41,7 @@ class Reading:
 
 
 @dataclass(frozen=True)
-class Walk:
+class Observed:
     """A scene as it was run, its eye, and the curves of its wall; None where there are too few frames of them."""
 
     scene: Scene
@@ -65,10 +65,10 @@ class Walk:
 
 def response_of(scene: Scene) -> Reading:
     """Run a resolved scene without a film and read the dynamic corneal response from its wall."""
-    return walk(scene).read()
+    return observe(scene).read()
 
 
-def walk(scene: Scene) -> Walk:
+def observe(scene: Scene) -> Observed:
     """Run a resolved scene without a film and keep the curves of its wall."""
     if scene.numerics.fidelity == "auto":
         scene = choose(scene).scene
@@ -82,6 +82,6 @@ def walk(scene: Scene) -> Walk:
     stop = run_scene(scene, on_frame=keep).stop
     stopped = f"{stop.what}, {stop.time_ms:.1f} ms" if stop else ""
     if len(times) < FRAMES_LEAST:
-        return Walk(scene, eye, None, stopped or "too few frames")
+        return Observed(scene, eye, None, stopped or "too few frames")
     r, z = np.moveaxis(np.array(walls), 2, 0)
-    return Walk(scene, eye, curves_from_wall(np.array(times), r, z, scene.cornea.thickness_mm), stopped)
+    return Observed(scene, eye, curves_from_wall(np.array(times), r, z, scene.cornea.thickness_mm), stopped)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taichi_eye.analysis.response import Response
-from taichi_eye.analysis.simulated import Walk, walk
+from taichi_eye.analysis.simulated import Observed, observe
 from taichi_eye.scene import Scene
 
 IOP_STEPS_MMHG = -4.0, -2.0, 0.0, 2.0, 4.0
@@ -25,11 +25,11 @@ THICKNESS_STEPS_UM = -38.0, 0.0, 38.0
 
 @dataclass(frozen=True, eq=False)
 class SimulatedEye:
-    """An eye of the population; walk: its curves, to be read once more with other windows."""
+    """An eye of the population; observed: its curves, to be read once more with other windows."""
 
     iop_mmhg: float
     thickness_um: float
-    walk: Walk
+    observed: Observed
     response: Response
     stopped: str = ""
 
@@ -51,9 +51,9 @@ def eye_at(scene: Scene, iop_mmhg: float, thickness_um: float) -> Scene:
 
 def simulate(scene: Scene, iop_mmhg: float, thickness_um: float) -> SimulatedEye:
     """Run the scene's eye at a pressure and a thickness."""
-    walked = walk(eye_at(scene, iop_mmhg, thickness_um))
-    reading = walked.read()
-    return SimulatedEye(iop_mmhg, thickness_um, walked, reading.response, reading.stopped)
+    observed = observe(eye_at(scene, iop_mmhg, thickness_um))
+    reading = observed.read()
+    return SimulatedEye(iop_mmhg, thickness_um, observed, reading.response, reading.stopped)
 
 
 def crossed(scene: Scene) -> list[tuple[float, float]]:

@@ -55,7 +55,9 @@ def zones(own: SimulatedEye, eyes: Sequence[SimulatedEye]) -> list[ZoneRow]:
     """The eyes read once more over every zone."""
     rows = []
     for zone in ZONES_MM:
-        kept = {id(eye): eye.walk.read(curvature_mm=zone).response for eye in {id(e): e for e in (own, *eyes)}.values()}
+        kept = {
+            id(eye): eye.observed.read(curvature_mm=zone).response for eye in {id(e): e for e in (own, *eyes)}.values()
+        }
         read = lambda eye, kept=kept: kept[id(eye)]
         rows.append(
             ZoneRow(
@@ -70,9 +72,9 @@ def zones(own: SimulatedEye, eyes: Sequence[SimulatedEye]) -> list[ZoneRow]:
 
 def speeds(own: SimulatedEye) -> list[SpeedRow]:
     """The scene's own eye, its velocities as plain differences."""
-    if own.walk.curves is None:
+    if own.observed.curves is None:
         return [SpeedRow(frames, None, None) for frames in FRAMES]
-    history, interval = histories(own.walk.curves), own.walk.scene.camera.frame_interval_ms
+    history, interval = histories(own.observed.curves), own.observed.scene.camera.frame_interval_ms
     apex = lambda at: float(np.interp(at, history.time_ms, history.apex_mm))
 
     def speed(at: float | None, late: float) -> float | None:

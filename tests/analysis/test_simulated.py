@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from taichi_eye.analysis import Response
-from taichi_eye.analysis.simulated import response_of, walk
+from taichi_eye.analysis.simulated import observe, response_of
 from taichi_eye.ladder.trial import run_scene
 from taichi_eye.scene import load_scene
 
@@ -27,7 +27,7 @@ def test_a_response_is_read_from_the_computed_wall_and_a_stop_is_told():
 
 
 def test_a_stopped_run_shows_what_belongs_to_a1_and_no_largest_dent():
-    whole = walk(load_scene(HEALTHY, QUICK))
+    whole = observe(load_scene(HEALTHY, QUICK))
     curves, a1 = whole.curves, whole.read().response.a1_time_ms
     for end, passed in ((a1 + 3.0, True), (a1 + 0.5, False)):
         kept = curves.time_ms <= end
