@@ -82,7 +82,7 @@ def slopes(
         if not eye.stopped and pressure is not None and value is not None:
             rows.append((pressure, 0.1 * eye.thickness_um, 1.0))
             values.append(value)
-    if len(rows) < 4:
+    if len(rows) < 3:
         return float("nan"), float("nan")
     plane = np.array(rows) - [*np.mean(rows, axis=0)[:2], 0.0]
     fit, _, rank, _ = np.linalg.lstsq(plane, np.array(values), rcond=1e-9)
