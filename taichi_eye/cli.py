@@ -1,5 +1,5 @@
 """The command line: `taichi-eye run SCENE.toml`, `analyze FILM`, `chart SCENE.toml`, and `verify`, `stability`,
-`clinic`, `claims`, `films`, `choices`, `bench`.
+`clinic`, `fit-clinic`, `claims`, `films`, `choices`, `bench`.
 
 Exit status: 0 done; 1 the run left its validity and was stopped (what was computed so far is in the run folder), or a
 row of `verify`, `films`, `choices` or `bench` does not hold, or a file or standard output could not be
@@ -62,9 +62,9 @@ def parser() -> argparse.ArgumentParser:
         proof.set_defaults(do=_prove)
     clinic = commands.add_parser(
         "clinic",
-        help="a scene's corneal response beside published norms, switch by switch",
-        description="Run a scene without a film, once as it is, once without each of its switches, "
-        "and at other IOPs and thicknesses; dynamic corneal response beside norms and slopes.",
+        help="what a clinician would measure on a scene's eye, beside living eyes",
+        description="Run a scene without a film, at other IOPs and thicknesses, and without each of its switches; "
+        "levels, slopes and public tables of living eyes beside it: clinic.html and clinic.png.",
     )
     clinic.add_argument("scene", help="scene file (TOML)")
     clinic.add_argument(
@@ -80,6 +80,31 @@ def parser() -> argparse.ArgumentParser:
     clinic.add_argument("--threads", type=_threads, metavar="N", help="CPU threads (default: all)")
     clinic.add_argument("--quiet", action="store_true", help="no progress bar")
     clinic.set_defaults(do=_clinic)
+    refit = commands.add_parser(
+        "fit-clinic",
+        help="fit keys of a scene to levels and slopes of living eyes",
+        description="Fit named numbers of a scene to levels and slopes of living eyes at once, on the cavity rung; "
+        "prints a table and the overrides to paste.",
+    )
+    refit.add_argument("scene", help="scene file (TOML)")
+    refit.add_argument(
+        "--free", metavar="KEYS", required=True, help="keys to fit, SECTION.KEY,SECTION.KEY,...; any number above 0"
+    )
+    refit.add_argument(
+        "--set",
+        dest="overrides",
+        metavar="SECTION.KEY=VALUE",
+        action="append",
+        default=[],
+        help="override a key of the scene; may be repeated",
+    )
+    refit.add_argument(
+        "--rounds", type=_rounds, default=12, metavar="N", help="end after so many evaluations with derivatives (12)"
+    )
+    refit.add_argument("--json", metavar="FILE", help="the figures as JSON")
+    refit.add_argument("--threads", type=_threads, metavar="N", help="CPU threads (default: all)")
+    refit.add_argument("--quiet", action="store_true", help="no progress bar")
+    refit.set_defaults(do=_refit)
     claims = commands.add_parser(
         "claims",
         help="put the paper's claims on delay, asymmetry and IOP to the model",
@@ -172,6 +197,12 @@ def _positive(text: str) -> float:
 def _threads(text: str) -> int:
     if not text.isdecimal() or not 1 <= int(text) <= 1024:
         raise argparse.ArgumentTypeError(f"{text!r} is not a number of threads from 1 to 1024")
+    return int(text)
+
+
+def _rounds(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= 1000:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of rounds from 1 to 1000")
     return int(text)
 
 
@@ -282,6 +313,18 @@ def _clinic(given) -> int:
     _refuse_unwritable(given.json)
     backend.init("cpu", "f64", given.threads)
     dcr.report(given.scene, given.overrides, given.out, given.json, not given.quiet)
+    return 0
+
+
+def _refit(given) -> int:
+    from taichi_eye.proof import refit
+    from taichi_eye.scene import load_scene
+
+    names = [name.strip() for name in given.free.split(",")]
+    refit.free_keys(load_scene(given.scene, given.overrides), names)
+    _refuse_unwritable(given.json)
+    backend.init("cpu", "f64", given.threads)
+    refit.report(given.scene, names, given.overrides, given.rounds, given.json, not given.quiet)
     return 0
 
 

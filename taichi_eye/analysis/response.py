@@ -4,16 +4,21 @@ One code for rendered, recorded and computed curves. Definitions (times from the
 
 deformation      displacement of the anterior surface along the axis from rest (mean of the first 1.2 ms).
 whole-eye movement  mean deformation 3.6 to 4.0 mm from the apex, both sides. deflection: deformation less that.
-curvature        of the circle fitted to the central 2 mm; positive while convex.
+curvature        of the circle fitted to the central 2 mm (+-1 mm); positive while convex.
 A1, A2           the curvature crosses zero, inwards and outwards. Velocity: slope of the apex deformation, local
-                 quadratic over +-0.8 ms. Length: over which the surface leaves its tangent on the axis by less than
-                 10 um. Amplitude: apex deflection.
+                 quadratic over +-0.8 ms, about +-3.5 frames. Length: over which the surface leaves its tangent on the
+                 axis by less than 10 um. Amplitude: apex deflection.
 HC               the largest apex deformation. Radius: one over the concave curvature then. Peak distance: between the
-                 two highest points of the curve.
+                 two highest points of the curve. Circle radius: of the circle through these two and the apex, which
+                 is the one that the norms of the HC radius are held against: the instrument shows about 8 mm beside a
+                 largest inverse radius of .17 per mm (5.9 mm), so its HC radius is no central fit.
 DA ratio         apex deformation over the mean deformation at +-1 or +-2 mm; the largest value from A1 to HC.
-inverse radius   concave curvature: its largest value, and its sum over the camera's frames from A1 to A2.
+inverse radius   concave curvature (of the same central 2 mm, over +-0.7 ms): its largest value, and its sum over the
+                 camera's frames from A1 to A2.
 deflection area  between the curve at rest and the deflected one, central 7 mm; delta arc length: change in length of
                  the curve over the same zone.
+IOPnct, bIOP     what the instrument would show: the first from the A1 time alone, the second from it, the thickness
+                 and the age (`shown_iop_nct_mmhg`, `biop_surrogate_mmhg`).
 SP-A1            (air pressure at A1 less bIOP) over the deflection amplitude at A1.
 
 Single values are read off moving polynomials in time, which frames may be missing from.
@@ -36,6 +41,7 @@ ZONE_MM = 3.5  # half width of area and arc length
 FLAT_MM = 0.010
 SPEED_MS, SHAPE_MS, TOP_MS = 0.8, 0.7, 1.6  # half widths of the moving polynomials
 MOVED_MM = 0.05
+PARCEL = 512  # times that a moving polynomial is fitted at together
 CORVIS_PEAK_MMHG = 96.4  # Oehring 2021, doi 10.3390/app11062499
 
 
@@ -59,6 +65,7 @@ class Response:
     deformation_amplitude_mm: float | None = None
     hc_deflection_mm: float | None = None
     hc_radius_mm: float | None = None
+    hc_circle_radius_mm: float | None = None
     peak_distance_mm: float | None = None
     hc_deflection_area_mm2: float | None = None
     hc_delta_arc_length_mm: float | None = None
@@ -69,8 +76,29 @@ class Response:
     whole_eye_movement_mm: float | None = None
     whole_eye_movement_time_ms: float | None = None
     central_thickness_um: float | None = None
+    iop_nct_mmhg: float | None = None
     biop_mmhg: float | None = None
     sp_a1_mmhg_mm: float | None = None
+
+
+# how each parameter that has a norm is read, its windows stated
+READ_AS = {
+    "a1_time_ms": f"the circle over the central +-{CURVATURE_MM:g} mm turns flat, inwards",
+    "a1_velocity_m_s": f"slope of the apex deformation at A1, local quadratic over +-{SPEED_MS:g} ms",
+    "a1_deflection_mm": f"apex deformation less whole-eye movement (mean at {SIDE_MM[0]:g} to {SIDE_MM[1]:g} mm) at A1",
+    "a2_time_ms": f"the circle over the central +-{CURVATURE_MM:g} mm turns flat, outwards",
+    "a2_velocity_m_s": f"slope of the apex deformation at A2, local quadratic over +-{SPEED_MS:g} ms",
+    "hc_time_ms": f"of the largest apex deformation, local cubic over +-{TOP_MS:g} ms",
+    "deformation_amplitude_mm": f"largest apex deformation, mean over +-{APEX_MM:g} mm, whole-eye movement included",
+    "peak_distance_mm": "between the two bending peaks at highest concavity",
+    "hc_radius_mm": f"circle over the central +-{CURVATURE_MM:g} mm at highest concavity",
+    "hc_circle_radius_mm": "circle through both bending peaks and the apex at highest concavity",
+    "da_ratio_2mm": f"apex deformation over its mean at +-2 mm (+-{RATIO_MM:g} mm), largest from A1 to HC",
+    "integrated_inverse_radius_per_mm": f"concave curvature of the central +-{CURVATURE_MM:g} mm, "
+    f"over +-{SHAPE_MS:g} ms, summed over the frames from A1 to A2",
+    "sp_a1_mmhg_mm": "(air pressure at A1 less bIOP) over the deflection at A1",
+    "central_thickness_um": "of the eye at rest",
+}
 
 
 @dataclass(frozen=True)
@@ -99,8 +127,8 @@ def measured_puff_mmhg(time_ms: float) -> float:
     return CORVIS_PEAK_MMHG * float(np.exp(-((abs(late) / width) ** power)))
 
 
-def histories(curves: Curves) -> Histories:
-    """Deformation, deflection, curvature and speed over time."""
+def histories(curves: Curves, curvature_mm: float = CURVATURE_MM) -> Histories:
+    """Deformation, deflection, curvature (of the circle over +-curvature_mm) and speed over time."""
     time, x = curves.time_ms, curves.x_mm
     height = smooth(curves.height_mm)
     rest = _nanmean(height[time <= time[0] + REST_MS])
@@ -109,7 +137,7 @@ def histories(curves: Curves) -> Histories:
     middle, half = 0.5 * (SIDE_MM[0] + SIDE_MM[1]), 0.5 * (SIDE_MM[1] - SIDE_MM[0])
     sides = np.stack([_band(deformation, x, side * middle, half) for side in (-1, 1)])
     whole = _nanmean(sides)
-    curvature = np.array([circle_curvature(x, one) for one in height])
+    curvature = np.array([circle_curvature(x, one, curvature_mm) for one in height])
     return Histories(
         time,
         x,
@@ -124,14 +152,20 @@ def histories(curves: Curves) -> Histories:
 
 
 def respond(
-    curves: Curves, frame_interval_ms: float = 0.2315, biop_mmhg: float | None = None, puff_mmhg=measured_puff_mmhg
+    curves: Curves,
+    frame_interval_ms: float = 0.2315,
+    biop_mmhg: float | None = None,
+    puff_mmhg=measured_puff_mmhg,
+    age_years: float | None = None,
+    curvature_mm: float = CURVATURE_MM,
 ) -> Response:
     """DCR parameters of the curves.
 
     frame_interval_ms: of the camera, for the integrated inverse radius. biop_mmhg: pressure of the eye, and puff_mmhg:
-    the air's pressure at the apex [mmHg] at a time [ms], for SP-A1.
+    the air's pressure at the apex [mmHg] at a time [ms], for SP-A1. age_years: of the eye, in place of biop_mmhg:
+    IOPnct and bIOP are then those that the instrument would show. curvature_mm: half width of the curvature's circle.
     """
-    h = histories(curves)
+    h = histories(curves, curvature_mm)
     time, x = h.time_ms, h.x_mm
     found: dict[str, float] = {}
     if curves.thickness_mm is not None:
@@ -151,7 +185,10 @@ def respond(
     concave = -moving(time, h.curvature_per_mm, np.array([hc]), SHAPE_MS, 1)[0]
     if concave > 0.0:
         found["hc_radius_mm"] = 1.0 / concave
-        found["peak_distance_mm"] = _peak_distance(x, at_hc)
+        left, right = _peaks(x, at_hc)
+        found["peak_distance_mm"] = right[0] - left[0]
+        apex = float(_band(at_hc[None], x, 0.0, APEX_MM)[0])
+        found["hc_circle_radius_mm"] = _circumradius(left, (0.0, apex), right)
     a1, a2 = _applanations(time, h.curvature_per_mm, hc)
     ratio_from = a1 if a1 is not None else time[np.argmax(h.apex_mm > 0.25 * amplitude)]
     for mm in (1, 2):
@@ -172,11 +209,22 @@ def respond(
             f"{name}_deflection_mm": float(_band(deflected[None], x, 0.0, APEX_MM)[0]),
             **_zone(h, at, name),
         }
+    if age_years is not None and a1 is not None and "central_thickness_um" in found:
+        found["iop_nct_mmhg"] = shown_iop_nct_mmhg(a1)
+        biop_mmhg = biop_surrogate_mmhg(found["iop_nct_mmhg"], found["central_thickness_um"], age_years)
     if biop_mmhg is not None:
         found["biop_mmhg"] = biop_mmhg
         if found.get("a1_deflection_mm", 0.0) > 0.0:
             found["sp_a1_mmhg_mm"] = (puff_mmhg(a1) - biop_mmhg) / found["a1_deflection_mm"]
     return _response(found)
+
+
+def shown_iop_nct_mmhg(a1_time_ms: float) -> float:
+    """IOPnct, the pressure that the instrument reads off its A1 time: 16.8 mmHg at 7.36 ms and .134 ms a mmHg.
+
+    The pair of means is that of 652 eyes (PMC7001013).
+    """
+    return 16.8 + (a1_time_ms - 7.36) / 0.134
 
 
 def biop_surrogate_mmhg(iop_nct_mmhg: float, thickness_um: float, age_years: float) -> float:
@@ -197,20 +245,22 @@ def moving(
     least = degree + 3
     if len(time) < least:
         return out
-    for k, t in enumerate(at):
-        distance = np.abs(time - t)
-        width = max(half_width, 1.01 * np.partition(distance, least - 1)[least - 1])
-        near = distance < width
-        weight = 1.0 - (distance[near] / width) ** 2
-        powers = np.vander(time[near] - t, degree + 1, increasing=True) * weight[:, None]
-        fit = np.linalg.lstsq(powers, values[near] * weight, rcond=None)[0]
-        out[k] = fit[derivative]
+    # in parcels, so that a long recording takes little memory
+    for start in range(0, len(at), PARCEL):
+        late = time - np.asarray(at)[start : start + PARCEL, None]
+        distance = np.abs(late)
+        width = np.maximum(half_width, 1.01 * np.partition(distance, least - 1, axis=1)[:, least - 1])[:, None]
+        weight = np.clip(1.0 - (distance / width) ** 2, 0.0, None) ** 2
+        powers = (late / width)[:, :, None] ** np.arange(degree + 1)
+        weighted = powers * weight[:, :, None]
+        fit = np.linalg.solve(weighted.transpose(0, 2, 1) @ powers, weighted.transpose(0, 2, 1) @ values[:, None])
+        out[start : start + PARCEL] = fit[:, derivative, 0] / width[:, 0] ** derivative
     return out
 
 
-def circle_curvature(x: np.ndarray, height: np.ndarray) -> float:
-    """Curvature [1/mm] of the circle through the central 2 mm by least squares, convex positive; NaN with gaps."""
-    near = np.abs(x) <= CURVATURE_MM
+def circle_curvature(x: np.ndarray, height: np.ndarray, half_mm: float = CURVATURE_MM) -> float:
+    """Curvature [1/mm] of the circle through the central +-half_mm by least squares, convex positive; NaN with gaps."""
+    near = np.abs(x) <= half_mm
     z, at = height[near], x[near]
     good = np.isfinite(z)
     if good.mean() < 0.9:
@@ -316,15 +366,24 @@ def _flat_length(x: np.ndarray, z: np.ndarray) -> float:
     return float(x[right[0]] - x[left[-1]])
 
 
-def _peak_distance(x: np.ndarray, z: np.ndarray) -> float:
-    places = []
+def _peaks(x: np.ndarray, z: np.ndarray) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Places and heights [mm] of the two bending peaks, left and right; NaN where a side is not seen."""
+    tops = []
     for side in (-1, 1):
         here = side * x > 0.3
         at, height = x[here], z[here]
         if not np.isfinite(height).any():
-            return np.nan
+            return ((np.nan, np.nan),) * 2
         top = at[int(np.nanargmax(height))]
         near = (np.abs(x - top) <= 0.45) & np.isfinite(z)
-        c2, c1, _ = np.polyfit(x[near] - top, z[near], 2)
-        places.append(top - (np.clip(0.5 * c1 / c2, -0.45, 0.45) if c2 < 0.0 else 0.0))
-    return float(places[1] - places[0])
+        c2, c1, c0 = np.polyfit(x[near] - top, z[near], 2)
+        off = -np.clip(0.5 * c1 / c2, -0.45, 0.45) if c2 < 0.0 else 0.0
+        tops.append((float(top + off), float(c0 + c1 * off + c2 * off**2)))
+    return tops[0], tops[1]
+
+
+def _circumradius(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
+    """Radius of the circle through three points, b the lowest; NaN where they do not lie on a dent."""
+    twice = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])
+    sides = [float(np.hypot(p[0] - q[0], p[1] - q[1])) for p, q in ((a, b), (b, c), (c, a))]
+    return float(np.prod(sides)) / (2.0 * twice) if twice > 0.0 else np.nan

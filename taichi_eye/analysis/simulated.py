@@ -1,7 +1,9 @@
 """The dynamic corneal response of a scene: its run without a film, read from the computed wall itself.
 
 What `taichi-eye analyze` reads from a recorded or rendered film, without the camera between: the same definitions
-(`taichi_eye.analysis.response`) on the wall at the times of the film's frames, whole-eye movement included.
+(`taichi_eye.analysis.response`) on the wall at the times of the film's frames, whole-eye movement included. As
+on the instrument, IOPnct comes from the A1 time and bIOP, for SP-A1, from it and the thickness, at the age of the eyes
+whose norms it is held against.
 """
 
 from __future__ import annotations
@@ -10,9 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_eye.analysis.curves import curves_from_wall
-from taichi_eye.analysis.response import Response, respond
-from taichi_eye.eye.eye import eye_of
+from taichi_eye.analysis.curves import Curves, curves_from_wall
+from taichi_eye.analysis.norms import ELDERLY_AGE_YEARS
+from taichi_eye.analysis.response import SPEED_MS, Response, respond
+from taichi_eye.eye.eye import Eye, eye_of
 from taichi_eye.ladder.choose import choose
 from taichi_eye.ladder.trial import run_scene
 from taichi_eye.scene import Scene
@@ -21,16 +24,52 @@ from taichi_eye.units import MM, MMHG, MS
 FRAMES_LEAST = 30  # fewer show no response
 
 
+# what a run that was stopped may have shown before
+EARLY = ("a1_", "iop_nct", "biop", "sp_a1", "central_thickness")
+
+
 @dataclass(frozen=True)
 class Reading:
-    """The response of a scene, up to where its run ended; stopped: why that was not its end, or empty."""
+    """The response of a scene; stopped: why its run ended before its end, or empty.
+
+    Of a stopped run the response holds what belongs to A1, where that was passed by the width of the readings' windows:
+    the largest dent of half a puff is none.
+    """
 
     response: Response
     stopped: str = ""
 
 
+@dataclass(frozen=True)
+class Observed:
+    """A scene as it was run, its eye, and the curves of its wall; None where there are too few frames of them."""
+
+    scene: Scene
+    eye: Eye
+    curves: Curves | None
+    stopped: str = ""
+
+    def read(self, **windows) -> Reading:
+        """The response; windows: those of `respond` that are not its defaults."""
+        if self.curves is None:
+            return Reading(Response(), self.stopped)
+        puff = lambda t: float(self.eye.puff.pressure_at_apex(t * MS)) / MMHG
+        interval = self.scene.camera.frame_interval_ms
+        response = respond(self.curves, interval, puff_mmhg=puff, age_years=ELDERLY_AGE_YEARS, **windows)
+        if self.stopped:
+            passed = response.a1_time_ms is not None and self.curves.time_ms[-1] > response.a1_time_ms + SPEED_MS
+            early = {n: value for n, value in vars(response).items() if n.startswith(EARLY)} if passed else {}
+            response = Response(**early)
+        return Reading(response, self.stopped)
+
+
 def response_of(scene: Scene) -> Reading:
     """Run a resolved scene without a film and read the dynamic corneal response from its wall."""
+    return observe(scene).read()
+
+
+def observe(scene: Scene) -> Observed:
+    """Run a resolved scene without a film and keep the curves of its wall."""
     if scene.numerics.fidelity == "auto":
         scene = choose(scene).scene
     times, walls, eye = [], [], eye_of(scene)
@@ -43,12 +82,6 @@ def response_of(scene: Scene) -> Reading:
     stop = run_scene(scene, on_frame=keep).stop
     stopped = f"{stop.what}, {stop.time_ms:.1f} ms" if stop else ""
     if len(times) < FRAMES_LEAST:
-        return Reading(Response(), stopped or "too few frames")
+        return Observed(scene, eye, None, stopped or "too few frames")
     r, z = np.moveaxis(np.array(walls), 2, 0)
-    response = respond(
-        curves_from_wall(np.array(times), r, z, scene.cornea.thickness_mm),
-        scene.camera.frame_interval_ms,
-        scene.eye.iop_mmhg,
-        lambda t: float(eye.puff.pressure_at_apex(t * MS)) / MMHG,
-    )
-    return Reading(response, stopped)
+    return Observed(scene, eye, curves_from_wall(np.array(times), r, z, scene.cornea.thickness_mm), stopped)

@@ -1,47 +1,49 @@
-"""`taichi-eye clinic SCENE`: the dynamic corneal response of a scene beside published norms, and what its switches do.
+"""`taichi-eye clinic SCENE`: what a clinic would measure on a scene's eye, beside what is measured on living eyes.
 
-Parameters are read from the computed wall itself (`taichi_eye.analysis.simulated`), no film between. Three tables: the
-scene, with z-scores against the published populations (`taichi_eye.analysis.norms`) and whether it lies within one
-standard
-deviation of one of them; the scene with one switch at a time set back to the default eye; slopes with IOP and central
-thickness (the
-rim along with it) by a straight line through five eyes, beside those over 194 eyes. A globe's compliance falls as one
-over
-its pressure (Friedenwald), so it does along the eyes of other IOPs. A run that a guard stops shows why.
+Parameters are read from the computed wall itself (`taichi_eye.analysis.simulated`), no film between. The eye has the
+IOPnct and the bIOP that the instrument would show. What is compared: levels, with z-scores against every published
+population (`taichi_eye.analysis.norms`) and a verdict by one of them; slopes with pressure and thickness over a small
+population of simulated eyes (`taichi_eye.proof.population`) beside those over 194 living eyes; three public tables
+(`taichi_eye.proof.public`); and what depends on the reading's windows (`taichi_eye.proof.windows`). The scene with one
+switch at a time set back to the default eye shows what each does. A run that a guard stops shows why.
+
+`study` computes, `report` also prints and writes the page (`taichi_eye.proof.clinic_page`).
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from tqdm import tqdm
 
-from taichi_eye.analysis import Response
-from taichi_eye.analysis.norms import NORMS, z_scores
+from taichi_eye.analysis.norms import NORMS, judged_by, z_scores
+from taichi_eye.analysis.response import Response
 from taichi_eye.analysis.simulated import Reading, response_of
 from taichi_eye.errors import SceneError
-from taichi_eye.proof.clinic import SLOPES
+from taichi_eye.proof import clinic, public, windows
+from taichi_eye.proof.population import SimulatedEye, crossed, simulate, slopes
 from taichi_eye.report.folder import create_run_folder, write_text
-from taichi_eye.report.page import table, write_page
 from taichi_eye.scene import Scene, load_scene
 from taichi_eye.scene.schema import AUTO, all_keys
 
 SHOWN = {
-    "a1_time_ms": "A1 ms",
-    "a1_velocity_m_s": "A1 m/s",
-    "a1_deflection_mm": "A1 defl mm",
-    "a2_time_ms": "A2 ms",
-    "a2_velocity_m_s": "A2 m/s",
-    "hc_time_ms": "HC ms",
-    "deformation_amplitude_mm": "DA mm",
-    "peak_distance_mm": "PD mm",
-    "hc_radius_mm": "HC R mm",
-    "da_ratio_2mm": "DA ratio",
-    "integrated_inverse_radius_per_mm": "IR 1/mm",
-    "sp_a1_mmhg_mm": "SP-A1",
+    "a1_time_ms": "A1 time, ms",
+    "a1_velocity_m_s": "A1 velocity, m/s",
+    "a1_deflection_mm": "A1 deflection, mm",
+    "a2_time_ms": "A2 time, ms",
+    "a2_velocity_m_s": "A2 velocity, m/s",
+    "hc_time_ms": "HC time, ms",
+    "deformation_amplitude_mm": "DA, mm",
+    "peak_distance_mm": "PD, mm",
+    "hc_radius_mm": "HC radius (central fit), mm",
+    "hc_circle_radius_mm": "HC radius (circle), mm",
+    "da_ratio_2mm": "DA ratio 2 mm",
+    "integrated_inverse_radius_per_mm": "IR, 1/mm",
+    "sp_a1_mmhg_mm": "SP-A1, mmHg/mm",
 }
 SWITCHES = {
     "whole-eye movement": ("eye.whole_eye_movement_mm",),
@@ -55,9 +57,75 @@ SWITCHES = {
     "width of the puff": ("puff.radial_profile", "puff.width_mm"),
     "course of the puff": ("puff.time_course", "puff.file"),
 }
-IOP_STEPS_MMHG = -4.0, -2.0, 0.0, 2.0, 4.0
-THICKNESS_STEPS_UM = -40.0, -20.0, 0.0, 20.0, 40.0
 FACTOR = 1.5  # within which a slope counts as that of the living eyes
+PER_MMHG, PER_10_UM = "per mmHg", "per 10 um"
+
+
+@dataclass(frozen=True)
+class Level:
+    """A parameter beside the norms. norms: (mean, SD, z) by population; judge: the one of the verdict, or None."""
+
+    name: str
+    value: float | None
+    norms: dict[str, tuple[float, float, float | None]]
+    judge: str | None
+
+    @property
+    def holds(self) -> bool | None:
+        """Whether it lies within one standard deviation of the judging population's mean; None without a judge."""
+        if self.judge is None:
+            return None
+        z = self.norms[self.judge][2]
+        return z is not None and abs(z) <= 1.0
+
+
+@dataclass(frozen=True)
+class Slope:
+    """A slope beside the measured one; error: that one's standard error, None where it is not known."""
+
+    name: str
+    unit: str
+    computed: float
+    measured: float
+    error: float | None
+
+    @property
+    def ratio(self) -> float:
+        """Computed over measured."""
+        return self.computed / self.measured
+
+    @property
+    def measured_zero(self) -> bool:
+        """Whether the measured slope is none, by two standard errors."""
+        return self.error is not None and abs(self.measured) < 2.0 * self.error
+
+    @property
+    def verdict(self) -> str:
+        """yes, only the sign, or NO: of a zero within two standard errors; else of the sign and within FACTOR."""
+        if self.measured_zero:
+            return "yes" if abs(self.computed - self.measured) <= 2.0 * self.error else "NO"
+        if 1.0 / FACTOR <= self.ratio <= FACTOR:
+            return "yes"
+        return "sign only" if self.ratio > 0.0 else "NO"
+
+
+@dataclass(frozen=True)
+class Study:
+    """All that the command finds out about a scene; line: eyes of its thickness and rising pressure."""
+
+    name: str
+    scene: Scene
+    own: SimulatedEye
+    levels: list[Level]
+    slopes: list[Slope]
+    groups: list[public.GroupRow]
+    line: list[SimulatedEye]
+    donors: public.DonorRow
+    stiffened: list[public.StiffRow]
+    zones: list[windows.ZoneRow]
+    speeds: list[windows.SpeedRow]
+    switches: dict[str, Reading]
+    population: list[SimulatedEye]
 
 
 def switches_of(scene: Scene) -> dict[str, dict[str, Any]]:
@@ -73,11 +141,64 @@ def switches_of(scene: Scene) -> dict[str, dict[str, Any]]:
     return found
 
 
-def slope(steps, outcomes: list[Reading], name: str) -> float:
-    """Of a parameter over the steps, NaN where fewer than three eyes show it."""
-    pairs = [(step, getattr(outcome.response, name)) for step, outcome in zip(steps, outcomes) if not outcome.stopped]
-    pairs = [(step, value) for step, value in pairs if value is not None]
-    return float(np.polyfit(*zip(*pairs), 1)[0]) if len(pairs) >= 3 else float("nan")
+def levels_of(response: Response) -> list[Level]:
+    """Every shown parameter beside every population."""
+    scores, found = z_scores(response), []
+    for name in SHOWN:
+        judge = judged_by(name)
+        found.append(
+            Level(
+                name,
+                getattr(response, name),
+                {p: (*NORMS[p][name], scores.get(name, {}).get(p)) for p in NORMS if name in NORMS[p]},
+                None if judge is None else judge[0],
+            )
+        )
+    return found
+
+
+def slopes_of(eyes: list[SimulatedEye]) -> list[Slope]:
+    """Every measured slope beside that of the simulated eyes."""
+    measured = {"a1_time_ms": ((clinic.A1_TIME_PER_MMHG, None), (clinic.A1_TIME_PER_10_UM, None)), **clinic.SLOPES}
+    found = []
+    for name, pairs in measured.items():
+        for unit, computed, (value, error) in zip((PER_MMHG, PER_10_UM), slopes(eyes, name), pairs):
+            found.append(Slope(name, unit, computed, value, error))
+    return found
+
+
+def study(scene: Scene, name: str = "scene", tell: Callable[[str, int, int], None] = lambda *_: None) -> Study:
+    """Run a scene's eye, its population, its switches and the public tables; tell(label, done, total) at each run."""
+    switched, asked = switches_of(scene), crossed(scene)
+    own_place = scene.eye.iop_mmhg, 1e3 * scene.cornea.thickness_mm
+    total, eyes = len(asked) + len(switched) + 2, []
+    for count, (iop, thickness) in enumerate(asked):
+        tell(f"{iop:g} mmHg, {thickness:.0f} um", count, total)
+        eyes.append(simulate(scene, iop, thickness))
+    own = eyes[asked.index(own_place)]
+    readings = {"scene": Reading(own.response, own.stopped)}
+    for count, (what, changes) in enumerate(switched.items()):
+        tell(f"without {what}", len(asked) + count, total)
+        readings[what] = response_of(scene.but(changes))
+    tell("public tables", total - 2, total)
+    line = public.sweep(scene, [eye for eye in eyes if eye.thickness_um == own.thickness_um])
+    donors, stiffened = public.donors(scene), public.stiffened(scene, own)
+    tell("windows", total - 1, total)
+    return Study(
+        name,
+        scene,
+        own,
+        levels_of(own.response),
+        slopes_of(eyes),
+        public.groups(line),
+        line,
+        donors,
+        stiffened,
+        windows.zones(own, eyes),
+        windows.speeds(own),
+        readings,
+        eyes,
+    )
 
 
 def report(
@@ -88,112 +209,34 @@ def report(
     progress: bool = True,
     say=lambda text: print(text, flush=True),
 ) -> Path:
-    """Run the scene, its switches and its slopes; print the tables, write clinic.html; its path.
+    """Study the scene; print the tables, write clinic.html and clinic.png; the page's path.
 
     Raises SceneError before anything is written where the scene is bad or without a puff.
     """
+    # plots are slow to load
+    from taichi_eye.proof import clinic_page
+
     scene = load_scene(path, overrides)
     if scene.puff.peak_kpa == 0.0:
         raise SceneError(f"{path}: puff.peak_kpa = 0: an eye without a puff has no dynamic response")
-    switched = switches_of(scene)
-    iop, cornea = scene.eye.iop_mmhg, scene.cornea
-    runs = [("scene", {}), *switched.items()]
-    runs += [
-        (
-            f"IOP {step:+g} mmHg",
-            {
-                "eye.iop_mmhg": iop + step,
-                "chamber.compliance_mm3_mmhg": scene.chamber.compliance_mm3_mmhg * iop / (iop + step),
-            },
-        )
-        for step in IOP_STEPS_MMHG
-    ]
-    runs += [
-        (
-            f"thickness {step:+g} um",
-            {
-                "cornea.thickness_mm": cornea.thickness_mm + 1e-3 * step,
-                "cornea.limbus_thickness_mm": cornea.limbus_thickness_mm + 1e-3 * step,
-            },
-        )
-        for step in THICKNESS_STEPS_UM
-    ]
-    scenes = [scene.but(changes) for _, changes in runs]
     folder = create_run_folder(out, "clinic")
-    outcomes = []
-    with tqdm(total=len(runs), unit=" runs", disable=not progress, dynamic_ncols=True, leave=False) as bar:
-        for (name, _), each in zip(runs, scenes):
-            bar.set_description_str(name)
-            outcomes.append(response_of(each))
-            bar.update()
-    own = outcomes[0]
-    first, second = 1 + len(switched), 1 + len(switched) + len(IOP_STEPS_MMHG)
-    tables = {
-        "The scene beside the norms": norms_table(own.response),
-        "One switch at a time set back": switch_table(dict(zip([name for name, _ in runs[:first]], outcomes[:first]))),
-        "Slopes": slope_table(outcomes[first:second], outcomes[second:]),
-    }
-    for title, (head, body) in tables.items():
+    with tqdm(unit=" runs", disable=not progress, dynamic_ncols=True, leave=False) as bar:
+
+        def tell(label: str, done: int, total: int) -> None:
+            bar.total = total
+            bar.set_description_str(label)
+            bar.update(done - bar.n)
+
+        found = study(scene, Path(path).name, tell)
+    for line in clinic_page.words(found):
+        say(line)
+    for title, (head, body, _) in clinic_page.tables(found).items():
         say(f"\n{title}")
         widths = [max(len(str(row[k])) for row in [head, *body]) for k in range(len(head))]
         for row in [head, *body]:
             say("  ".join(f"{str(cell):<{width}}" for cell, width in zip(row, widths)).rstrip())
-    page = folder / "clinic.html"
-    write_page(
-        page,
-        f"taichi-eye clinic {Path(path).name}",
-        [f"<pre>{__doc__}</pre>"] + [f"<h2>{title}</h2>{table(head, body)}" for title, (head, body) in tables.items()],
-    )
+    page = clinic_page.write(found, folder)
     if json_file:
-        plain = {title: [dict(zip(head, row)) for row in body] for title, (head, body) in tables.items()}
-        write_text(Path(json_file), json.dumps(plain, indent=2) + "\n")
+        write_text(Path(json_file), json.dumps(clinic_page.as_json(found), indent=2, allow_nan=False) + "\n")
     say(f"\n{page}")
     return page
-
-
-def norms_table(response: Response) -> tuple[list[str], list[list[str]]]:
-    """Every shown parameter that has a norm: value, mean +- SD and z of each population, whether within 1 SD of one."""
-    scores, body = z_scores(response), []
-    for name, label in SHOWN.items():
-        norms = {population: NORMS[population][name] for population in NORMS if name in NORMS[population]}
-        if not norms:
-            continue
-        z = scores.get(name, {})
-        within = "yes" if any(abs(value) <= 1.0 for value in z.values()) else "NO"
-        cells = [f"{norms[p][0]:g} +- {norms[p][1]:g} ({z[p]:+.1f})" if p in z else "" for p in NORMS]
-        body.append([label, _cell(getattr(response, name)), *cells, within])
-    return ["parameter", "computed", *(f"{p} (z)" for p in NORMS), "within 1 SD of one"], body
-
-
-def switch_table(outcomes: dict[str, Reading]) -> tuple[list[str], list[list[str]]]:
-    """The scene, then the scene without each switch."""
-    body = [
-        [
-            ("without " if name != "scene" else "") + name,
-            *(_cell(getattr(outcome.response, field)) for field in SHOWN),
-            outcome.stopped,
-        ]
-        for name, outcome in outcomes.items()
-    ]
-    return ["", *SHOWN.values(), "stopped"], body
-
-
-def slope_table(iop: list[Reading], thickness: list[Reading]) -> tuple[list[str], list[list[str]]]:
-    """Slopes per mmHg and per 10 um beside those of living eyes: computed, measured, their ratio, within FACTOR or
-    not."""
-    body = []
-    for name, (per_mmhg, per_10_um) in SLOPES.items():
-        row = [SHOWN[name]]
-        for steps, outcomes, unit, measured in (
-            (IOP_STEPS_MMHG, iop, 1.0, per_mmhg),
-            (THICKNESS_STEPS_UM, thickness, 10.0, per_10_um),
-        ):
-            found = unit * slope(steps, outcomes, name)
-            ratio = found / measured
-            row += [f"{found:.4f}", f"{measured:g}", f"{ratio:.2f}", "yes" if 1.0 / FACTOR <= ratio <= FACTOR else "NO"]
-        body.append(row)
-    return ["", "per mmHg", "measured", "ratio", "holds", "per 10 um", "measured", "ratio", "holds"], body
-
-
-def _cell(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3f}"

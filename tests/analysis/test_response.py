@@ -4,7 +4,17 @@ import numpy as np
 import pytest
 
 from taichi_eye.analysis.curves import Curves, curves_from_wall, grid
-from taichi_eye.analysis.response import biop_surrogate_mmhg, circle_curvature, histories, moving, respond
+from taichi_eye.analysis.norms import ELDERLY_AGE_YEARS, NORMS, POPULATIONS, judged_by
+from taichi_eye.analysis.response import (
+    READ_AS,
+    Response,
+    biop_surrogate_mmhg,
+    circle_curvature,
+    histories,
+    moving,
+    respond,
+    shown_iop_nct_mmhg,
+)
 
 TIMES = 0.2315 * np.arange(139)
 
@@ -97,6 +107,45 @@ def test_stiffness_parameter_is_the_pressure_left_over_the_deflection():
     response = respond(parabolas(), biop_mmhg=15.0, puff_mmhg=lambda t: 10.0 * t)
     assert response.sp_a1_mmhg_mm == pytest.approx((10.0 * response.a1_time_ms - 15.0) / response.a1_deflection_mm)
     assert biop_surrogate_mmhg(16.0, 550.0, 50.0) == pytest.approx(19.98 + 14.16 - 16.83 - 2.19)
+
+
+def test_a_simulated_eye_shows_the_pressures_that_the_instrument_would():
+    response = respond(parabolas(), age_years=60.0, puff_mmhg=lambda t: 10.0 * t)
+    assert response.iop_nct_mmhg == pytest.approx(16.8 + (response.a1_time_ms - 7.36) / 0.134)
+    assert response.biop_mmhg == pytest.approx(biop_surrogate_mmhg(response.iop_nct_mmhg, 550.0, 60.0))
+    over = 10.0 * response.a1_time_ms - response.biop_mmhg
+    assert response.sp_a1_mmhg_mm == pytest.approx(over / response.a1_deflection_mm)
+    # the means of the 194 eyes belong to one age
+    assert biop_surrogate_mmhg(16.6, 551.0, ELDERLY_AGE_YEARS) == pytest.approx(14.75, abs=0.05)
+    assert shown_iop_nct_mmhg(NORMS["iran"]["a1_time_ms"][0]) == pytest.approx(POPULATIONS["iran"].iop_mmhg[0])
+
+
+@pytest.mark.parametrize("half, depth", [(2.4, 0.9), (2.0, 0.6)])
+def test_the_circle_radius_is_that_of_the_circle_through_both_peaks_and_the_apex(half, depth):
+    x = grid()
+    height = -puff(TIMES)[:, None] * 0.5 * depth * (1.0 + np.cos(np.pi * np.clip(x / half, -2.0, 2.0)))
+    response = respond(Curves(TIMES, x, height))
+    assert response.peak_distance_mm == pytest.approx(2.0 * half, rel=0.01)
+    assert response.hc_circle_radius_mm == pytest.approx((half**2 + depth**2) / (2.0 * depth), rel=0.02)
+    assert response.hc_radius_mm < response.hc_circle_radius_mm
+
+
+def test_a_parameter_is_judged_by_one_population_for_all():
+    assert judged_by("deformation_amplitude_mm") == ("elderly", *NORMS["elderly"]["deformation_amplitude_mm"])
+    assert judged_by("a2_time_ms") == ("china", *NORMS["china"]["a2_time_ms"])
+    assert judged_by("a1_length_mm") is None
+    known = set(vars(Response()))
+    assert all(set(norms) <= known & set(READ_AS) for norms in NORMS.values()) and set(NORMS) == set(POPULATIONS)
+
+
+def test_a_narrower_circle_sees_a_later_applanation_of_a_dent_that_starts_wide():
+    x = grid()
+    load = puff(TIMES)[:, None]
+    height = -0.0625 * x**2 + load * 0.14 * (x**2 - 0.03 * x**4) - load
+    wide, narrow = (respond(Curves(TIMES, x, height), curvature_mm=mm).a1_time_ms for mm in (1.5, 0.75))
+    assert wide > narrow
+    share = 0.0625 / 0.14  # of the puff, at which the apex itself is flat
+    assert narrow == pytest.approx(16.0 - 5.0 * np.sqrt(-np.log(share)), abs=0.1)
 
 
 def test_moving_polynomial_reproduces_polynomials_and_bridges_gaps():

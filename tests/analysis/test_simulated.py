@@ -1,10 +1,12 @@
 """The response of a scene, read from its computed wall."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from taichi_eye.analysis.simulated import response_of
+from taichi_eye.analysis import Response
+from taichi_eye.analysis.simulated import observe, response_of
 from taichi_eye.ladder.trial import run_scene
 from taichi_eye.scene import load_scene
 
@@ -22,6 +24,19 @@ def test_a_response_is_read_from_the_computed_wall_and_a_stop_is_told():
     assert moved.hc_radius_mm == pytest.approx(outcome.response.hc_radius_mm, rel=0.05)
     stopped = response_of(load_scene(HEALTHY, [*QUICK, "cornea.flexural_modulus_mpa=0"]))
     assert "ms" in stopped.stopped
+
+
+def test_a_stopped_run_shows_what_belongs_to_a1_and_no_largest_dent():
+    whole = observe(load_scene(HEALTHY, QUICK))
+    curves, a1 = whole.curves, whole.read().response.a1_time_ms
+    for end, passed in ((a1 + 3.0, True), (a1 + 0.5, False)):
+        kept = curves.time_ms <= end
+        cut = replace(curves, time_ms=curves.time_ms[kept], height_mm=curves.height_mm[kept])
+        cut = replace(cut, thickness_mm=curves.thickness_mm[kept])
+        response = replace(whole, curves=cut, stopped="folded").read().response
+        assert response.deformation_amplitude_mm is None and response.hc_time_ms is None
+        assert (response.a1_time_ms is not None) == passed and (response.biop_mmhg is not None) == passed
+    assert response == Response()
 
 
 def test_a_run_too_short_to_show_a_response_says_so():

@@ -1,4 +1,4 @@
-"""The clinic's tables: which switches a scene sets, z-scores, slopes, and what the command refuses."""
+"""The clinic's tables: switches that a scene sets, levels, slopes, public tables, and what the command refuses."""
 
 from pathlib import Path
 
@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from taichi_eye.analysis import Response
-from taichi_eye.analysis.simulated import Reading
+from taichi_eye.analysis.norms import NORMS
 from taichi_eye.cli import main
-from taichi_eye.proof import dcr
+from taichi_eye.proof import dcr, population, public
 from taichi_eye.scene import load_scene
 
 QUICK = ["numerics.fidelity=cavity", "numerics.spacing_mm=0.25"]
@@ -36,27 +36,108 @@ def test_a_tissue_given_in_another_way_goes_back_too(tissue):
     )
 
 
-def test_a_parameter_is_within_the_norms_where_one_population_has_it_so():
-    head, body = dcr.norms_table(Response(a1_time_ms=7.0, hc_radius_mm=4.0, deformation_amplitude_mm=1.05))
-    rows = {row[0]: row for row in body}
-    assert rows["A1 ms"][-1] == "yes" and "(-0.9)" in rows["A1 ms"][head.index("iran (z)")]
-    assert rows["A1 ms"][head.index("elderly (z)")] == "" and rows["HC R mm"][-1] == "NO" and rows["A2 ms"][-1] == "NO"
+def test_a_level_is_judged_by_one_population_and_shown_beside_all():
+    found = {level.name: level for level in dcr.levels_of(Response(a1_time_ms=7.0, hc_circle_radius_mm=7.0))}
+    assert list(found) == list(dcr.SHOWN)
+    time, radius = found["a1_time_ms"], found["hc_circle_radius_mm"]
+    # 652 eyes have it within one standard deviation, the judging 60 controls do not
+    assert time.judge == "china" and time.norms["iran"][2] == pytest.approx(-0.36 / 0.39) and time.holds is False
+    assert set(radius.norms) == set(NORMS) and radius.judge == "elderly"
+    assert radius.norms["elderly"][2] == pytest.approx(-1.09 / 1.06) and radius.holds is False
+    assert found["hc_radius_mm"].holds is None
+    assert found["a2_time_ms"].value is None and found["a2_time_ms"].holds is False
 
 
-def test_slopes_are_those_of_a_line_and_leave_stopped_runs_out():
-    steps = (-1.0, 0.0, 1.0, 2.0)
-    line = [Reading(Response(peak_distance_mm=5.0 - 0.094 * step)) for step in steps]
-    assert dcr.slope(steps, line, "peak_distance_mm") == pytest.approx(-0.094)
-    line[3] = Reading(Response(peak_distance_mm=50.0), "stopped")
-    assert dcr.slope(steps, line, "peak_distance_mm") == pytest.approx(-0.094)
-    line[0] = Reading(Response())
-    assert np.isnan(dcr.slope(steps, line, "peak_distance_mm"))
-    head, body = dcr.slope_table(
-        [Reading(Response(deformation_amplitude_mm=1.0 - 0.031 * step)) for step in dcr.IOP_STEPS_MMHG],
-        [Reading(Response())] * 5,
-    )
-    first = dict(zip(head, body[0]))
-    assert body[0][:5] == ["DA mm", "-0.0310", "-0.031", "1.00", "yes"] and first["holds"] == "NO"
+@pytest.mark.parametrize(
+    "measured, error, computed, verdict",
+    [
+        (-0.03, 0.002, -0.0445, "yes"),
+        (-0.03, 0.002, -0.0455, "sign only"),
+        (-0.03, 0.002, -0.0199, "sign only"),
+        (-0.03, 0.002, 0.03, "NO"),
+        (0.0001, 0.0017, -0.0032, "yes"),
+        (0.0001, 0.0017, 0.0036, "NO"),
+        (0.148, None, 0.1, "yes"),
+        (0.148, None, float("nan"), "NO"),
+        (0.0001, 0.0017, float("nan"), "NO"),
+    ],
+)
+def test_a_slope_holds_by_sign_and_factor_and_a_measured_zero_by_its_error(measured, error, computed, verdict):
+    assert dcr.Slope("x", dcr.PER_MMHG, computed, measured, error).verdict == verdict
+
+
+def linear_eyes(rng, **planes):
+    """Eyes whose parameters are planes over (IOPnct, thickness): name = (level, per mmHg, per um)."""
+    eyes = []
+    for _ in range(9):
+        iop, thickness = rng.uniform(9.0, 22.0), rng.uniform(480.0, 620.0)
+        shown = 1.1 * iop + 0.02 * (thickness - 550.0) + 0.5
+        values = {name: a + b * shown + c * thickness for name, (a, b, c) in planes.items()}
+        response = Response(a1_time_ms=5.0 + 0.15 * iop + 0.002 * thickness, iop_nct_mmhg=shown, **values)
+        eyes.append(population.SimulatedEye(iop, thickness, None, response))
+    return eyes
+
+
+def test_slopes_are_at_equal_a1_time_and_leave_stopped_eyes_out():
+    eyes = linear_eyes(np.random.default_rng(3), deformation_amplitude_mm=(1.5, -0.03, 0.0004), sp_a1_mmhg_mm=(9, 4, 0))
+    wrong = Response(deformation_amplitude_mm=9.0, iop_nct_mmhg=17.0, a1_time_ms=1.0)
+    eyes.append(population.SimulatedEye(15.0, 550.0, None, wrong, "stopped"))
+    eyes.append(population.SimulatedEye(15.0, 550.0, None, Response()))
+    assert population.slopes(eyes, "deformation_amplitude_mm") == pytest.approx((-0.03, 0.004))
+    assert population.slopes(eyes, "sp_a1_mmhg_mm") == pytest.approx((4.0, 0.0), abs=1e-9)
+    # the A1 time goes with the pressure of the eye
+    assert population.slopes(eyes, "a1_time_ms") == pytest.approx((0.15, 0.02))
+    assert np.isnan(population.slopes(eyes, "peak_distance_mm")).all()
+    assert np.isnan(population.slopes(eyes[:2], "sp_a1_mmhg_mm")).all()
+    rows = {(row.name, row.unit): row for row in dcr.slopes_of(eyes)}
+    assert len(rows) == 18
+    assert rows["sp_a1_mmhg_mm", dcr.PER_MMHG].ratio == pytest.approx(4.0 / 3.9)
+    assert rows["deformation_amplitude_mm", dcr.PER_10_UM].verdict == "NO"
+
+
+def test_the_population_is_crossed_and_spread_like_the_living_eyes_and_its_globes_follow_friedenwald():
+    scene = load_scene(HEALTHY, QUICK)
+    places = np.array(population.crossed(scene))
+    assert places.std(axis=0) == pytest.approx([2.8, 31.0], abs=0.1) and np.corrcoef(places.T)[0, 1] == 0.0
+    assert population.eye_at(scene, 15.0, 550.0) == scene
+    other = population.eye_at(scene, 20.0, 600.0)
+    assert other.chamber.compliance_mm3_mmhg == pytest.approx(0.75 * scene.chamber.compliance_mm3_mmhg)
+    thicker = other.cornea.thickness_mm - 0.55, other.cornea.limbus_thickness_mm - scene.cornea.limbus_thickness_mm
+    assert thicker == pytest.approx((0.05, 0.05)) and other.cornea.stiffness_a_pa == scene.cornea.stiffness_a_pa
+
+
+def eye_showing(iop, biop, **values):
+    return population.SimulatedEye(iop, 550.0, None, Response(biop_mmhg=biop, **values))
+
+
+def test_groups_are_read_where_the_instrument_would_show_their_pressure():
+    # what is shown rises by half of what the eye has, so that the sweep has to reach out
+    run = lambda scene, iop, thickness: eye_showing(iop, 7.5 + 0.5 * iop, deformation_amplitude_mm=1.5 - 0.02 * iop)
+    scene = load_scene(HEALTHY, QUICK)
+    eyes = public.sweep(scene, [run(scene, iop, 550.0) for iop in (17.0, 13.0, 15.0)], run)
+    pressures = [eye.iop_mmhg for eye in eyes]
+    assert pressures == sorted(pressures) and pressures[0] <= 5.0 and pressures[-1] >= 25.0
+    row = {row.name: row for row in public.groups(eyes)}["deformation_amplitude_mm"]
+    assert row.computed == pytest.approx([1.5 - 0.04 * (biop - 7.5) for biop in (10, 12, 14, 16, 18, 20)])
+    assert not row.holds
+    few = {row.name: row for row in public.groups(eyes[2:])}["deformation_amplitude_mm"]
+    assert few.computed[0] is None and not few.holds
+    # an eye that no pressure makes show enough: the sweep ends
+    flat = public.sweep(scene, [eye_showing(15.0, 15.0)], lambda scene, iop, thickness: eye_showing(iop, 15.0))
+    assert flat[-1].iop_mmhg <= public.MOST_MMHG and flat[0].iop_mmhg >= public.LEAST_MMHG
+
+
+def test_a_stiffened_globe_lowers_the_dent_and_keeps_the_stiffness_parameter():
+    rows = {row.name: row for row in public.stiffened(*own(load_scene(HEALTHY, QUICK)))}
+    assert all(row.holds for row in rows.values()) and len(rows) == 3
+    assert public.stiffened(*own(load_scene(None, QUICK))) == []
+    assert not public.StiffRow("peak_distance_mm", 4.0, 4.1).holds
+    assert not public.StiffRow("sp_a1_mmhg_mm", 100.0, 94.0).holds
+    assert not public.StiffRow("sp_a1_mmhg_mm", 100.0, None).holds
+
+
+def own(scene):
+    return scene, population.simulate(scene, scene.eye.iop_mmhg, 1e3 * scene.cornea.thickness_mm)
 
 
 def test_a_scene_without_a_puff_is_refused_before_anything_is_written(tmp_path, monkeypatch, capsys):
