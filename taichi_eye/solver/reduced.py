@@ -67,11 +67,13 @@ class Reduced:
     scene: resolved; cloud: its `cloud_of` where there is one already. Public: eye, clock, cornea (fields), section,
     cloud (None until a flow is asked for), traces (dict of arrays so far), steps, refreshes, frames [frame, node, 7] as
     `WallStepper.advance` keeps them, out_of_validity (whether a guard stopped the run for what the model is not made
-    for, and not for its numerics).
+    for, and not for its numerics), judges_folding (whether a shell is asked whether it folds; a pilot on a grid that is
+    too coarse to tell sets it to False).
     """
 
     flowing = False  # whether the pressure varies along the wall
     holds_volume = True  # whether a sealed chamber is felt
+    judges_folding = True
     words = ""  # the model of the liquid in a line
 
     def __init__(self, scene, cloud: Cloud | None = None):
@@ -224,7 +226,7 @@ class Reduced:
     def _lobes(self, sample: int) -> int | None:
         """The lobes into which a shell folds at a film frame's sample, asked once it is compressed enough."""
         frame = self.clock.frame_of(sample)
-        if frame is None or not self._guard.may_fold(0, self._record[sample]):
+        if frame is None or not self.judges_folding or not self._guard.may_fold(0, self._record[sample]):
             return None
         nodes = self.section.cornea_nodes(self.wall_count - 1)
         place = self.frames[frame, :, :2]
