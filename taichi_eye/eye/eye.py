@@ -2,12 +2,17 @@
 
 `eye_of(scene)` turns the user's mm, mmHg, MPa and ms into an `Eye`; solver, film and ladder take it from there. An Eye
 is frozen, and what follows from its numbers is computed when it is asked for: `eye.but(iop=2500.0)` is another eye of
-the
-same tissue whose prestrain carries the new pressure.
+the same tissue whose prestrain carries the new pressure.
+
+Some stiffnesses follow the pressure, and are named at REFERENCE_IOP, 15 mmHg: those of shear and bending grow as
+(IOP / 15 mmHg)^n, since a cornea's lamellae grip one another by the pressure that presses them together (pigs' shear
+moduli double between 5 and 20 mmHg); in its plane the tissue's own law does it. A globe after Friedenwald (1937) takes
+up V = C P0 ln(1 + p/P0) at p over its pressure P0 at rest, the IOP; its compliance C falls as 15 mmHg / IOP.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -23,6 +28,9 @@ from taichi_eye.scene import Scene
 from taichi_eye.scene.calibration import rest_stress
 from taichi_eye.units import KPA, MM, MM3, MMHG, MPA, MPA_S, MS
 
+REFERENCE_IOP = 15.0 * MMHG  # at which stiffnesses that follow the pressure are named
+SHEAR_CORRECTION = 5.0 / 6.0  # kappa: shear spread as a parabola over the thickness
+
 
 @dataclass(frozen=True, kw_only=True)
 class Cornea:
@@ -30,9 +38,9 @@ class Cornea:
 
     law, constants: the tissue's, as `Law.coefficients` takes them; thickness: on the axis, rim_thickness: at the
     limbus, a parabola in the radius between; poisson_ratio: the in-plane coupling, also of bending; flexural_modulus:
-    Young's
-    modulus of bending, 0 for a membrane; overstress_share g, relaxation_time tau [s]: of a sudden stretch; density
-    [kg/m^3].
+    Young's modulus of bending, shear_modulus: of transverse shear, both 0 for a membrane and both at REFERENCE_IOP;
+    pressure_exponent: the power of the IOP that they follow; shear_delay [s]: viscosity of the shear over its modulus;
+    overstress_share g, relaxation_time tau [s]: of a sudden stretch; density [kg/m^3].
     """
 
     law: Law
@@ -42,6 +50,9 @@ class Cornea:
     rim_thickness: float
     density: float
     flexural_modulus: float = 0.0
+    shear_modulus: float = 0.0
+    shear_delay: float = 0.0
+    pressure_exponent: float = 0.0
     overstress_share: float = 0.0
     relaxation_time: float = 1.0
 
@@ -52,31 +63,30 @@ class Cornea:
 
     @property
     def is_shell(self) -> bool:
-        """Whether the cornea resists bending, and so bears compression."""
-        return self.flexural_modulus > 0.0
+        """Whether the cornea resists bending or transverse shear, and so bears compression."""
+        return self.flexural_modulus > 0.0 or self.shear_modulus > 0.0
 
     @property
     def thinnest(self) -> float:
         """The smaller of the thicknesses on the axis and at the rim."""
         return min(self.thickness, self.rim_thickness)
 
-    def rigidity(self, thickness: ArrayLike) -> np.ndarray:
-        """Bending stiffness D [N m] of the slow tissue at a thickness [m]."""
-        return flexural_rigidity(self.flexural_modulus, thickness, self.poisson_ratio)
-
     @property
-    def sudden_rigidity(self) -> float:
-        """D [N m] that a sudden bend of the thickest part meets."""
-        sudden = (1.0 + self.overstress_share) * self.flexural_modulus
-        return float(flexural_rigidity(sudden, max(self.thickness, self.rim_thickness), self.poisson_ratio))
+    def thickest(self) -> float:
+        """The larger of them."""
+        return max(self.thickness, self.rim_thickness)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Globe:
-    """The rest of the globe behind a sealed chamber: what it takes up per pressure [m^3/Pa], and how late [s]."""
+    """The rest of the globe behind a sealed chamber: what it takes up per pressure [m^3/Pa], and how late [s].
+
+    friedenwald: whether its compliance is one at REFERENCE_IOP that falls as the pressure rises.
+    """
 
     compliance: float = 0.0
     delay: float = 0.0
+    friedenwald: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,6 +142,36 @@ class Eye:
         """Prestrain on the axis."""
         return self._prestrain(self.cornea.thickness)
 
+    @property
+    def stiffening(self) -> float:
+        """What the IOP makes of the moduli of shear and bending, over those at REFERENCE_IOP."""
+        return (self.iop / REFERENCE_IOP) ** self.cornea.pressure_exponent
+
+    def rigidity(self, thickness: ArrayLike) -> np.ndarray:
+        """Bending stiffness D [N m] of the slow tissue at a thickness [m]."""
+        modulus = self.stiffening * self.cornea.flexural_modulus
+        return flexural_rigidity(modulus, thickness, self.cornea.poisson_ratio)
+
+    @property
+    def sudden_rigidity(self) -> float:
+        """D [N m] that a sudden bend of the thickest part meets."""
+        return float((1.0 + self.cornea.overstress_share) * self.rigidity(self.cornea.thickest))
+
+    @property
+    def shear_stiffness(self) -> float:
+        """kappa G [Pa] of transverse shear, per thickness."""
+        return SHEAR_CORRECTION * self.stiffening * self.cornea.shear_modulus
+
+    @property
+    def globe_compliance(self) -> float:
+        """What the globe takes up per pressure at rest [m^3/Pa]."""
+        return self.globe.compliance * (REFERENCE_IOP / self.iop if self.globe.friedenwald else 1.0)
+
+    @property
+    def globe_pressure(self) -> float:
+        """P0 [Pa] of a globe after Friedenwald; infinite where it is linear."""
+        return self.iop if self.globe.friedenwald else math.inf
+
     @cached_property
     def rest_stress(self) -> float:
         """Principal stress [Pa] of the wall at rest, on the axis (Laplace)."""
@@ -165,11 +205,18 @@ def eye_of(scene: Scene) -> Eye:
             rim_thickness=wall.limbus_thickness_mm * MM,
             density=wall.density_kg_m3,
             flexural_modulus=wall.flexural_modulus_mpa * MPA,
+            shear_modulus=wall.shear_modulus_kpa * KPA,
+            shear_delay=wall.shear_viscosity_ms * MS,
+            pressure_exponent=wall.pressure_exponent,
             overstress_share=wall.viscoelastic_share,
             relaxation_time=wall.relaxation_ms * MS,
         ),
         liquid=Liquid(density=aqueous.density_kg_m3, viscosity=aqueous.viscosity_mpa_s * MPA_S, sealed=chamber.sealed),
-        globe=Globe(compliance=chamber.compliance_mm3_mmhg * MM3 / MMHG, delay=chamber.globe_delay_ms * MS),
+        globe=Globe(
+            compliance=chamber.compliance_mm3_mmhg * MM3 / MMHG,
+            delay=chamber.globe_delay_ms * MS,
+            friedenwald=chamber.globe_law == "friedenwald",
+        ),
         puff=_puff_of(scene, section),
         retreat=Retreat(scene.eye.whole_eye_movement_mm * MM),
     )
@@ -182,4 +229,6 @@ def _puff_of(scene: Scene, section: Section) -> Puff:
     else:
         rate = 1.0 / (puff.width_mm * MM) ** 2
     samples = read_puff(puff.file) if puff.time_course == "file" else None
-    return Puff(puff.time_course, puff.peak_kpa * KPA, puff.duration_ms * MS, puff.spread_b, rate, samples)
+    return Puff(
+        puff.time_course, puff.peak_kpa * KPA, puff.duration_ms * MS, puff.spread_b, rate, samples, puff.dent_feedback
+    )

@@ -15,6 +15,8 @@ Radial profiles f, fixed to the material points of the reference cap (r = R sin 
 paper     exp(-a sin^2 phi), same eq. 2; with a = 21.5 and R = 7.8 mm half the pressure is left at r = 1.40 mm, and the
           peak force along the axis is 0.0889 N at 10 kPa.
 gaussian  exp(-r^2/w^2).
+
+Either is that on a flat wall where the air feels the dent (`taichi_eye.eye.jet`).
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from taichi_eye.eye import jet
 from taichi_eye.scene.table import read_puff_file
 from taichi_eye.units import KPA, MS
 
@@ -38,7 +41,8 @@ CORVIS_FALL = 4.175 * MS, 1.547
 class Puff:
     """Pressure of the air puff, in SI.
 
-    radial_rate: the profile is exp(-radial_rate r^2) [1/m^2]; samples: the user's times [s] and pressures [Pa].
+    radial_rate: the profile is exp(-radial_rate r^2) [1/m^2]; samples: the user's times [s] and pressures [Pa];
+    dent_feedback: c of `taichi_eye.eye.jet`.
     """
 
     time_course: str
@@ -47,6 +51,7 @@ class Puff:
     spread_b: float
     radial_rate: float
     samples: tuple[np.ndarray, np.ndarray] | None = None
+    dent_feedback: float = 0.0
 
     def pressure_at_apex(self, t: ArrayLike) -> np.ndarray:
         """Pressure [Pa] over atmosphere at the apex at time t [s]; any shape."""
@@ -59,9 +64,15 @@ class Puff:
             return self.peak * np.exp(-((np.abs(late) / width) ** power))
         return self.peak * np.exp(-self.spread_b * ((2.0 * t - self.duration) / (2.0 * self.duration)) ** 2)
 
-    def radial(self, r: ArrayLike) -> np.ndarray:
-        """Share of the apex pressure, without unit, on material points of reference radius r [m]; any shape."""
-        return np.exp(-self.radial_rate * np.square(np.asarray(r, dtype=float)))
+    def radial(self, r: ArrayLike, curvature: float = 0.0) -> np.ndarray:
+        """Share of the apex pressure, without unit, on material points of reference radius r [m]; any shape.
+
+        curvature [1/m]: of the wall under the jet, convex positive; felt with dent_feedback alone.
+        """
+        rate = self.radial_rate
+        if self.dent_feedback:
+            rate = rate * jet.narrowing(self.dent_feedback, curvature) ** 2
+        return np.exp(-rate * np.square(np.asarray(r, dtype=float)))
 
 
 def read_puff(file: str | Path) -> tuple[np.ndarray, np.ndarray]:

@@ -142,6 +142,8 @@ class _Climb:
         named = "added_mass" if model is ThinLayer else model.__name__.lower()
         own = {"numerics.fidelity": named, "numerics.spacing_mm": spacing_mm, "numerics.refresh_travel": AUTO}
         simulation = model(self.scene.but({**own, **(changes or {})}, within_limits=False))
+        # elements as long as a lobe is wide fold a sound shell at its apex
+        simulation.judges_folding = spacing_mm < 1.001 * self.length_mm / OFFERED
         stop = run_to_stop(simulation)
         if stop:
             if simulation.out_of_validity:

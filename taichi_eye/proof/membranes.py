@@ -17,10 +17,10 @@ HENCKY = {0.3: (0.653443, 0.431101), 0.49: (0.598243, 0.459382)}
 class Membrane:
     """The solver's cornea without a liquid: forces of its tissue and its area vectors at a given place.
 
-    material: the coefficients of the tissue law and, last, the prestrain.
+    material: the coefficients of the tissue law and, last, the prestrain; shell: what `Cornea.setup` takes beside.
     """
 
-    def __init__(self, nodes, thickness: float, material, density: float = 1000.0):
+    def __init__(self, nodes, thickness: float, material, density: float = 1000.0, **shell):
         self.count = len(nodes)
         self.cornea = Cornea(self.count)
         *coefficients, prestrain = material
@@ -32,6 +32,7 @@ class Membrane:
             prestrain=prestrain,
             iop=0.0,
             load_shape=np.zeros(self.count),
+            **shell,
         )
         self.force = ti.Vector.field(2, self.cornea.place.dtype, self.count)
         self.area = ti.Vector.field(2, self.cornea.place.dtype, self.count)
@@ -51,6 +52,18 @@ class Membrane:
         self.cornea.place.from_numpy(np.ascontiguousarray(place))
         self._evaluate()
         return self.force.to_numpy(), self.area.to_numpy()
+
+    @ti.kernel
+    def _spread(self):
+        ti.loop_config(serialize=True)
+        for _ in range(ONE_TASK):
+            self.cornea.spread_load(0)
+
+    def load(self, place):
+        """The puff's pressure at each node over that at the apex, with the nodes at `place` [n, 2] (m)."""
+        self.cornea.place.from_numpy(np.ascontiguousarray(place))
+        self._spread()
+        return self.cornea.load_shape.to_numpy()
 
 
 def inflation(quick: bool = False):
@@ -150,10 +163,10 @@ def hencky(quick: bool = False):
     ]
 
 
-def dry_frequencies(nodes, thickness: float, density: float, material, count: int = 3):
-    """Lowest transverse frequencies [Hz] of a flat membrane without a liquid, from its linearised tissue forces and
-    masses."""
-    membrane = Membrane(nodes, thickness, material, density)
+def dry_frequencies(nodes, thickness: float, density: float, material, count: int = 3, **shell):
+    """Lowest transverse frequencies [Hz] of a flat membrane or shell (as `Membrane` takes it) without a liquid, from
+    its linearised tissue forces and masses."""
+    membrane = Membrane(nodes, thickness, material, density, **shell)
     free = len(nodes) - 1
     stiffness = np.empty((free, free))
     step = 1e-7 * nodes[-1, 0]

@@ -5,7 +5,7 @@ import math
 import time
 from pathlib import Path
 
-from taichi_eye.proof import added_mass, membranes, squeeze, viscous, waves
+from taichi_eye.proof import added_mass, membranes, shells, squeeze, viscous, waves
 from taichi_eye.proof.comparison import Comparison
 from taichi_eye.report.folder import create_run_folder, write_text
 from taichi_eye.report.page import draw, picture, table, write_page
@@ -18,6 +18,9 @@ PARTS = {
     "eye": waves.eye_modes,
     "added-mass": added_mass.added_mass,
     "hencky": membranes.hencky,
+    "shear": shells.shear,
+    "jet": shells.jet_force,
+    "globe": shells.friedenwald,
     "poiseuille": viscous.poiseuille,
     "womersley": viscous.womersley,
     "taylor-green": viscous.taylor_green,

@@ -84,6 +84,21 @@ class Cornea:
         at_least=0,
         at_most=100,
     )
+    shear_modulus_kpa: float = key(
+        0.0,
+        "modulus of shear across the thickness (G), which resists tilting: energy 5/6 G h/2 sin^2 of the tilt from "
+        "rest per area; 0: none",
+        unit="kPa",
+        at_least=0,
+        at_most=1e6,
+    )
+    shear_viscosity_ms: float = key(0.0, "viscosity of that shear over its modulus", unit="ms", at_least=0, at_most=100)
+    pressure_exponent: float = key(
+        0.0,
+        "n: the moduli of bending and shear hold at 15 mmHg and follow (eye.iop_mmhg / 15)^n; 0: constants",
+        at_least=0,
+        at_most=4,
+    )
     viscoelastic_share: float = key(
         0.0, "stress of a sudden stretch over that of a slow one, less 1 (g); 0: elastic", at_least=0, at_most=20
     )
@@ -129,6 +144,12 @@ class Chamber:
         at_least=0,
         at_most=100,
     )
+    globe_law: str = key(
+        "linear",
+        "of that volume: in proportion to the pressure, or C P0 ln(1 + p/P0) with P0 the IOP at rest and C as given "
+        "at 15 mmHg, falling as 15/IOP",
+        choices=("linear", "friedenwald"),
+    )
     globe_delay_ms: float = key(
         0.0,
         "time in which the globe follows the pressure, its wall being viscous; 0: at once",
@@ -169,6 +190,13 @@ class PuffLoad:
     spread_a: float = key(21.5, "a of the paper's radial profile exp(-a sin^2 phi)", at_least=0, at_most=1e4)
     radial_profile: str = key("paper", "exp(-a sin^2 phi), or exp(-r^2/w^2)", choices=("paper", "gaussian"))
     width_mm: float = key(1.2, "w of the gaussian radial profile", unit="mm", at_least=0.01, at_most=100)
+    dent_feedback: float = key(
+        0.0,
+        "c: the profile is that on a flat wall, its width over 1 + c D kappa, D = 2.4 mm the nozzle and kappa the "
+        "curvature under it; 0: the wall's shape does not matter",
+        at_least=0,
+        at_most=2,
+    )
     file: str = key("", "CSV with columns time_ms,pressure_kpa, relative to the scene file; zero outside its times")
 
 

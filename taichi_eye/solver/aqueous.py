@@ -147,6 +147,7 @@ class Aqueous:
         sealed: bool = True,
         compliance: float = 0.0,
         globe_delay: float = 0.0,
+        globe_pressure: float = np.inf,
         mean_speed: float | None = None,
         stencil: int | None = None,
         eye: int = 0,
@@ -154,8 +155,9 @@ class Aqueous:
     ) -> None:
         """Place the nodes of one eye at rest, choose their stencils and compute all weights (SI units).
 
-        compliance: volume [m^3/Pa] by which the rest of the globe yields, globe_delay [s] late; mean_speed: the mean
-        pressure's sound speed (default: the waves'); stencil: neighbours wanted per node; the basis has its own number.
+        compliance: volume [m^3/Pa] by which the rest of the globe yields at rest, globe_delay [s] late, after
+        Friedenwald with a finite globe_pressure P0 [Pa]; mean_speed: the mean pressure's sound speed (default: the
+        waves'); stencil: neighbours wanted per node; the basis has its own number.
         Several eyes are set up in their order, each from the node after the last one's on.
         """
         self.nodes[eye] = count = cloud.count
@@ -188,6 +190,7 @@ class Aqueous:
             sealed=sealed,
             compliance=compliance,
             globe_delay=globe_delay,
+            globe_pressure=globe_pressure,
             mean_speed=mean_speed or sound_speed,
             eye=eye,
             first=first,
@@ -246,6 +249,7 @@ class Aqueous:
         sealed: int,
         compliance: float,
         globe_delay: float,
+        globe_pressure: float,
         mean_speed: float,
         eye: int,
         first: int,
@@ -258,7 +262,7 @@ class Aqueous:
             self.density0[eye], self.viscosity[eye], self.sound_speed[eye] = density, viscosity, sound_speed
             self.dissipation_length[eye], self.no_slip[eye] = dissipation_length, no_slip
             self.sealed[eye], self.outflow[eye] = sealed, 0.0
-            self.globe.rest(eye, compliance, globe_delay)
+            self.globe.rest(eye, compliance, globe_delay, globe_pressure)
             self.mean_speed[eye] = mean_speed
             for t in range(triangles.shape[0]):
                 for k in ti.static(range(3)):
@@ -477,9 +481,11 @@ class Aqueous:
             stiffness = self.density0[eye] * self.mean_speed[eye] ** 2
             followed = self.globe.followed(eye, dt)
             held = (1.0 - followed) * self.globe.taken_up[eye]
-            mean = (stiffness * ((self.rest_volume[eye] - held) / volume - 1.0)) / (
-                1.0 + stiffness * followed * self.globe.compliance[eye] / volume
-            )
+            missing = stiffness * ((self.rest_volume[eye] - held) / volume - 1.0)
+            if ti.math.isinf(self.globe.rest_pressure[eye]):
+                mean = missing / (1.0 + stiffness * followed * self.globe.compliance[eye] / volume)
+            else:
+                mean = self.globe.pressure_for(eye, followed, volume / stiffness, missing * volume / stiffness)
             self.globe.take_up(eye, followed, mean)
             coming = self.density0[eye] * self.sound_speed[eye] ** 2 * (self.last_volume[eye] / volume - 1.0)
         self.last_volume[eye] = volume

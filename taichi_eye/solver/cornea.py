@@ -23,6 +23,15 @@ of curvature from rest are (phi_k - phi_k-1) / L at the nodes and (sin phi - sin
 W_b = D/2 (dk1^2 + dk2^2) per area, D = E h^3 / (12 (1 - nu^2)). Kirchhoff's mixed term, D nu dk1 dk2, is left out: its
 integral depends on the rim alone. The rim is a hinge.
 
+Transverse shear, where the scene asks for it: the sections of the wall do not turn with it (a frozen director), since
+turning them bends, which at the width of a dent is far stiffer than shear. With the shear strain sin(phi - phi0) of an
+element and kappa G its modulus, per area at rest
+
+    W_s = (kappa G h / 2) sin^2(phi - phi0),   and a viscous part of the stress, kappa G delay d sin(phi - phi0)/dt,
+
+whose work is lost. A step takes the viscous part from the change over the step before, which limits the step
+(`taichi_eye.solver.timestep`). Relaxation leaves shear alone.
+
 Relaxation, where the scene asks for it: quasi-linear viscoelasticity (Fung), one relaxation time. On the elastic stress
 S comes an overstress q, dq/dt = g dS/dt - q / tau: a sudden stretch meets 1 + g times the slow stiffness, a slow one
 none
@@ -45,6 +54,7 @@ Units are SI: m, s, Pa, N, J. Forces and masses are those of full rings (2 pi r)
 import numpy as np
 
 from taichi_eye.backend import real
+from taichi_eye.eye import jet
 from taichi_eye.eye.laws import LAWS, Law
 from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.solver import rings
@@ -89,6 +99,12 @@ class Cornea:
         self.flexible = ti.field(ti.i32, eyes)
         self.inclination = vector()  # angle of each element, and its change from rest
         self.moment = vector()  # as flexure
+        # of transverse shear: stiffness of each element, its viscous and its whole torque over cos(phi - phi0) [J]
+        self.shear, self.overshear, self.shear_torque = scalar(), scalar(), scalar()
+        self.shear_delay = ti.field(fp, eyes)
+        self.curvature, self.narrowing = jet.text(ti, ti.func)
+        self.load_rate, self.dent_feedback = ti.field(fp, eyes), ti.field(fp, eyes)
+        self.chord, self.chord_share = ti.field(ti.i32, eyes), ti.field(fp, eyes)
         self.stress, self.strain = vector(), vector()
         self.overstress, self.overmoment = vector(), vector()
         self.relaxation, self.relaxed_work = ti.Vector.field(2, fp, eyes), ti.field(fp, eyes)  # g, tau [s]; work [J]
@@ -98,7 +114,7 @@ class Cornea:
     def evolving(self) -> dict:
         """The fields of nodes and elements that evolve and that a step reads, by name (`taichi_eye.solver.state`)."""
         names = ("place", "velocity", "acceleration", "lost", "force_air", "air_pressure", "stress", "strain")
-        names += ("overstress", "overmoment", "inclination")
+        names += ("overstress", "overmoment", "overshear", "inclination")
         return {f"cornea_{name}": getattr(self, name) for name in names}
 
     def evolving_of_eyes(self) -> dict:
@@ -115,7 +131,11 @@ class Cornea:
         prestrain,
         iop: float,
         load_shape,
+        load_rate: float = 0.0,
+        dent_feedback: float = 0.0,
         rigidity=0.0,
+        shear_stiffness=0.0,
+        shear_delay: float = 0.0,
         overstress_share: float = 0.0,
         relaxation_time: float = 1.0,
         eye: int = 0,
@@ -124,9 +144,11 @@ class Cornea:
         """Place the membrane of one eye at rest, its nodes from `first` on.
 
         nodes [n, 2] (m), apex first; thickness (m); density (kg/m^3); coefficients of the tissue law; prestrain eps0;
-        iop (Pa); load_shape [n]: the puff's pressure at each node relative to its pressure on the axis; rigidity: D
-        (N m), 0 for a membrane; overstress_share g and relaxation_time tau (s). Thickness, eps0 and D may be one number
-        or one per element, [n - 1].
+        iop (Pa); load_shape [n]: the puff's pressure at each node relative to its pressure on the axis, at rest;
+        load_rate (1/m^2) and dent_feedback: of the puff that feels the dent (`taichi_eye.eye.jet`); rigidity: D (N m)
+        and shear_stiffness: kappa G h (N/m), both 0 for a membrane; shear_delay (s): viscosity of the shear over its
+        modulus; overstress_share g and relaxation_time tau (s). Thickness, eps0, D and the shear stiffness may be one
+        number or one per element, [n - 1].
         """
         count = len(nodes)
         thickness = np.broadcast_to(np.asarray(thickness, dtype=float), count - 1)
@@ -148,6 +170,8 @@ class Cornea:
             flexure[0, 0] = rigidity[0] * np.pi
             flexure[:, 1] = rigidity * 2.0 * np.pi * length / radius
         angle = np.arctan2(-np.diff(nodes[:, 1]), np.diff(nodes[:, 0]))
+        area = length if self.planar else 2.0 * np.pi * radius * length
+        chord, chord_share = jet.chord_at(nodes[:, 0])
         self._load(
             nodes=np.ascontiguousarray(nodes),
             mass=density * ring,
@@ -157,11 +181,17 @@ class Cornea:
             prestrain=np.array(np.broadcast_to(np.asarray(prestrain, dtype=float), length.shape)),
             flexure=flexure,
             angle=angle,
+            shear=np.asarray(shear_stiffness, dtype=float) * area,
             load_shape=np.asarray(load_shape, dtype=float),
             coefficients=np.array(coefficients, dtype=float),
             iop=iop,
             share=overstress_share,
             time=relaxation_time,
+            shear_delay=shear_delay,
+            load_rate=load_rate,
+            dent_feedback=dent_feedback,
+            chord=chord,
+            chord_share=chord_share,
             eye=eye,
             first=first,
         )
@@ -178,11 +208,17 @@ class Cornea:
         prestrain: ti.types.ndarray(),
         flexure: ti.types.ndarray(),
         angle: ti.types.ndarray(),
+        shear: ti.types.ndarray(),
         load_shape: ti.types.ndarray(),
         coefficients: ti.types.ndarray(),
         iop: float,
         share: float,
         time: float,
+        shear_delay: float,
+        load_rate: float,
+        dent_feedback: float,
+        chord: int,
+        chord_share: float,
         eye: int,
         first: int,
     ):
@@ -194,6 +230,8 @@ class Cornea:
                 self.material[eye][c] = coefficients[c]
             self.iop[eye], self.puff_work[eye] = iop, 0.0
             self.relaxation[eye], self.relaxed_work[eye] = ti.Vector([share, time]), 0.0
+            self.shear_delay[eye], self.load_rate[eye], self.dent_feedback[eye] = shear_delay, load_rate, dent_feedback
+            self.chord[eye], self.chord_share[eye] = first + chord, chord_share
             for n in range(nodes.shape[0]):
                 i = first + n
                 zero = ti.Vector([0.0, 0.0])
@@ -213,7 +251,8 @@ class Cornea:
                 )
                 zero = ti.Vector([0.0, 0.0])
                 self.moment[k], self.overstress[k], self.overmoment[k] = zero, zero, zero
-            self.flexible[eye] = ti.select(flexure[0, 1] > 0.0, 1, 0)
+                self.shear[k], self.overshear[k], self.shear_torque[k] = shear[n], 0.0, 0.0
+            self.flexible[eye] = ti.select(flexure[0, 1] > 0.0 or shear[0] > 0.0, 1, 0)
 
     @ti.func
     def hoop_stretch(self, k):
@@ -257,8 +296,19 @@ class Cornea:
                 over = kept * self.overmoment[k] + gain * self.flexure[k] * change
                 self.relaxed_work[eye] += 0.5 * (over + self.overmoment[k]).dot(change)
                 self.overmoment[k], self.moment[k] = over, self.flexure[k] * bend + over
+                self._tilt(eye, k, turned, dt)
         for k in range(first, last):
             self._stretch(eye, k, kept, gain)
+
+    @ti.func
+    def _tilt(self, eye, k, turned, dt):
+        # shear torque of element k from its turn from rest, now and a step ago
+        tilt, before = ti.sin(turned[0]), ti.sin(turned[1])
+        over = 0.0
+        if dt > 0.0:
+            over = self.shear[k] * self.shear_delay[eye] * (tilt - before) / dt
+        self.relaxed_work[eye] += 0.5 * (over + self.overshear[k]) * (tilt - before)
+        self.overshear[k], self.shear_torque[k] = over, self.shear[k] * tilt + over
 
     @ti.func
     def _stretch(self, eye, k, kept, gain):
@@ -282,15 +332,16 @@ class Cornea:
         else:
             self.hoop[k] = self.element_volume[k] * stress[1] * self.hoop_stretch(k) * 0.5 / self.element_radius[k]
         if self.flexible[eye] != 0:
-            # derivative of the bending energy with respect to the inclination [J]
+            # derivative of the energies of bending and shear with respect to the inclination [J]
             torque = self.moment[k][0] + self.moment[k][1] * ti.cos(self.inclination[k][0])
+            torque += self.shear_torque[k] * ti.cos(self.inclination[k][1])
             if k + 1 < self.last[eye]:
                 torque -= self.moment[k + 1][0]
             self.tension[k] += ti.Vector([edge[1], -edge[0]]) * (torque / edge.norm_sqr())
 
     @ti.func
     def bending_energy(self, eye):
-        """Energy of bending [J], zero at rest; that of the overmoments counts as `relaxed_work`."""
+        """Energy of bending and shear [J], zero at rest; work against overmoments and viscosity is `relaxed_work`."""
         energy = 0.0
         if self.flexible[eye] != 0:
             before = 0.0
@@ -299,8 +350,23 @@ class Cornea:
                 turned = ti.atan2(-edge[1], edge[0]) - self.rest_angle[k]
                 leant = -edge[1] / edge.norm() - ti.sin(self.rest_angle[k])
                 energy += 0.5 * (self.flexure[k][0] * (turned - before) ** 2 + self.flexure[k][1] * leant**2)
+                energy += 0.5 * self.shear[k] * ti.sin(turned) ** 2
                 before = turned
         return energy
+
+    @ti.func
+    def spread_load(self, eye):
+        """Spread the puff over the nodes of an eye at their present places, where the air feels the dent."""
+        if self.dent_feedback[eye] > 0.0:
+            first, k, share = self.first[eye], self.chord[eye], self.chord_share[eye]
+            kappa = 0.0
+            for end in ti.static(range(2)):
+                at = self.place[k + end]
+                kappa += ti.abs(1.0 - end - share) * self.curvature(self.place[first][1], at[0], at[1])
+            narrow = self.narrowing(self.dent_feedback[eye], kappa)
+            rate = self.load_rate[eye] * narrow * narrow
+            for i in range(first, self.last[eye] + 1):
+                self.load_shape[i] = ti.exp(-rate * self.rest[i][0] ** 2)
 
     @ti.func
     def elastic_force(self, eye, i):
@@ -413,11 +479,14 @@ class Cornea:
         sudden = 1.0 + self.relaxation[eye][0]
         density = self.mass[first + 1] / (0.5 * (self.element_volume[first] + self.element_volume[first + 1]))
         stretch_squared = 2.0 * (strain[0] - shift) + 1.0
-        stiffness = sudden * along * stretch_squared + meridional
+        # shear turns with 1/stretch, its stiffest wave, at the apex, is a fifth stiffer than that of a strip, and where
+        # tilted it couples both waves by at most half of its modulus
+        tilting = self.shear[k] / (self.element_volume[k] * stretch_squared)
+        stiffness = sudden * along * stretch_squared + meridional + 0.5 * tilting
         return (
             self.borne_stress(eye, k),
             ti.sqrt(ti.max(stiffness, 0.0) / density),
-            ti.sqrt(ti.max(meridional, 0.0) / density),
+            ti.sqrt(ti.max(meridional + 1.22 * tilting, 0.0) / density),
         )
 
     @ti.func

@@ -132,16 +132,16 @@ class Coupling:
             step_all(step, everyone)
 
     @ti.func
-    def _start_step(self, eye, i, puff, dt):
-        # wall node i: predictor, air pressure at the end of the step
+    def _start_step(self, eye, i, dt):
+        # wall node i: predictor
         self.cornea.predict(eye, i, dt)
-        self.cornea.air_pressure[i] = puff * self.cornea.load_shape[i]
         self.guess[i] = self.cornea.acceleration[i]
         self.last_miss[i] = ti.Vector([0.0, 0.0])
 
     @ti.func
-    def _work_of_air(self, eye, i, dt):
+    def _work_of_air(self, eye, i, puff, dt):
         # trapezoid: the force before this call is the one at the start of the step
+        self.cornea.air_pressure[i] = puff * self.cornea.load_shape[i]
         moved = self.cornea.held(eye, i, dt * self.cornea.velocity[i] + 0.5 * dt * dt * self.cornea.acceleration[i])
         before = self.cornea.force_air[i]
         self.cornea.collect_forces(eye, i)
@@ -153,11 +153,12 @@ class Coupling:
         first = self.cornea.first[eye]
         end = first + self.aqueous.wall_count[eye]
         for i in range(first, end):
-            self._start_step(eye, i, puff, dt)
+            self._start_step(eye, i, dt)
+        self.cornea.spread_load(eye)
         self.cornea.deform(eye, dt)
         work = 0.0
         for i in range(first, end):
-            work += self._work_of_air(eye, i, dt)
+            work += self._work_of_air(eye, i, puff, dt)
         self.cornea.puff_work[eye] += work
 
     @ti.func

@@ -7,11 +7,12 @@ with S' = d/dS along the meridian at rest, R0 the radius at rest and all cos^2, 
     sum h 2 R0 L / 2 [ C_ij dE_i dE_j + C66 gamma^2 + S1 (rho'^2 + tau'^2 + zeta'^2)
                        + S2 ((m rho + tau)^2 + (rho + m tau)^2 + m^2 zeta^2) / R0^2 ]                         membrane
   + D/2 [ k_s^2 + k_phi^2 + 2 nu k_s k_phi + 2 (1 - nu) k_sphi^2 ]  of w, the part along the normal            bending
-  - p/2 (dx . dN)                                                                                        follower
-                                                                                                         pressure
+  + kappa G h R0 L [ cos(2 d) a_s^2 + cos^2(d) a_m^2 ],  d = phi - phi0                         transverse shear
+  - p/2 (dx . dN)                                                                                follower pressure
 
     dE_1 = r' rho' + z' zeta',  dE_2 = r (rho + m tau) / R0^2,  gamma = (r tau' - r' (m rho + tau) - m z' zeta) / R0,
     C_ij = dS_i/dE_j,  C66 the tangent of shear in the plane  (of the tissue's law),
+    a_s = (n . dx') / |x'|,  a_m = (n_r (m rho + tau) + n_z m zeta) / r   turns of the normal n, along and around,
     k_s = -w'',  k_phi = m^2 w / r^2 - r' w' / r,  k_sphi = m (w' / r - r' w / r^2).
 
 The state is stable where this form is positive definite for every m from 2 on. The chamber's volume does not change to
@@ -37,15 +38,15 @@ LOBES = tuple(range(2, 17))
 class Folding:
     """The stability of one cornea's states.
 
-    rest [n + 1, 2] (m): nodes, apex first; thickness (m), prestrain, rigidity D (N m): numbers or per element [n];
-    law, coefficients, poisson_ratio: of the tissue.
+    rest [n + 1, 2] (m): nodes, apex first; thickness (m), prestrain, rigidity D (N m), shear kappa G h (N/m): numbers
+    or per element [n]; law, coefficients, poisson_ratio: of the tissue.
     """
 
-    def __init__(self, rest, *, thickness, law, coefficients, poisson_ratio, prestrain, rigidity):
+    def __init__(self, rest, *, thickness, law, coefficients, poisson_ratio, prestrain, rigidity, shear=0.0):
         self.rest, self.law, self.coefficients, self.nu = np.asarray(rest), law, coefficients, poisson_ratio
         n = len(self.rest) - 1
-        self.thickness, self.prestrain, self.rigidity = (
-            np.broadcast_to(np.asarray(v, dtype=float), n) for v in (thickness, prestrain, rigidity)
+        self.thickness, self.prestrain, self.rigidity, self.shear = (
+            np.broadcast_to(np.asarray(v, dtype=float), n) for v in (thickness, prestrain, rigidity, shear)
         )
         self.length = np.linalg.norm(np.diff(self.rest, axis=0), axis=1)
         self.radius = 0.5 * (self.rest[1:, 0] + self.rest[:-1, 0])
@@ -69,7 +70,8 @@ class Folding:
             coefficients=eye.cornea.coefficients,
             poisson_ratio=eye.cornea.poisson_ratio,
             prestrain=eye.prestrain(middle),
-            rigidity=eye.cornea.rigidity(thickness),
+            rigidity=eye.rigidity(thickness),
+            shear=eye.shear_stiffness * thickness,
         )
 
     def lobes(self, place, pressure, lobes=LOBES) -> int | None:
@@ -91,7 +93,7 @@ class Folding:
         """The quadratic form [J/m^2 over pi/2] of the free nodes, (rho, tau, zeta) node by node; symmetric."""
         n = len(self.length)
         whole = np.zeros((3 * (n + 1), 3 * (n + 1)))
-        parts = self._membrane(place, m) - self._follower(place, pressure, m)
+        parts = self._membrane(place, m) + self._tilting(place, m) - self._follower(place, pressure, m)
         np.add.at(whole, (self.dofs[:, :, None], self.dofs[:, None, :]), parts)
         whole += self._bending(place, m)
         free = slice(3, 3 * n)
@@ -126,6 +128,19 @@ class Folding:
         for vector in turned:
             total += _sum(s2, vector, vector)
         return weight[:, None, None] * total
+
+    def _tilting(self, place, m):
+        # the normal turns by a_s along the meridian and by a_m around the axis; the sections stay as they were at rest
+        rp, zp, r, (rho, tau, zeta) = self._terms(place, m)
+        drho, _, dzeta = self.slope.swapaxes(0, 1)
+        stretch = np.hypot(rp, zp)
+        nr, nz = -zp / stretch, rp / stretch
+        along = (nr * drho + nz * dzeta) / stretch
+        around = (nr * (m * rho + tau) + nz * m * zeta) / r
+        edge = np.diff(self.rest, axis=0)
+        tilt = np.arctan2(-zp, rp)[:, 0] - np.arctan2(-edge[:, 1], edge[:, 0])
+        weight = 2.0 * self.shear * self.radius * self.length
+        return _sum(weight * np.cos(2.0 * tilt), along, along) + _sum(weight * np.cos(tilt) ** 2, around, around)
 
     def _follower(self, place, pressure, m):
         # dx . dN, N = x_S x x_phi, symmetrised

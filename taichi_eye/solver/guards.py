@@ -5,10 +5,11 @@ tension the membrane has no transverse waves and any mesh-size ripple grows. Onl
 compressed than it was stretched at rest, or whose energy grew without work in the same sample, was torn by an
 instability: slackness grows from zero and the energy is balanced then.
 
-A shell (cornea.flexural_modulus_mpa) carries compression until it folds. From the classical stress on at which a
-complete sphere does, 2 sqrt(D E h) / (R h), with D its bending stiffness and E Young's modulus in its plane at rest,
-every film frame's
-state is put to the question whether it is stable against lobes around the axis (`taichi_eye.solver.folding`).
+A shell (cornea.flexural_modulus_mpa or cornea.shear_modulus_kpa) carries compression until it folds. From the classical
+stress on at which a complete sphere does, 2 sqrt(D E h) / (R h) + kappa G, with D its bending stiffness, E Young's
+modulus in its plane at rest and kappa G that of transverse shear, every film frame's state is put to the question
+whether it is stable against lobes around the axis (`taichi_eye.solver.folding`). (A ripple of wave number k is borne by
+D k^2 + E h / (R k)^2 + kappa G h per length, whose least value this is.)
 
 Energy. What is stored must not exceed the work of the puff, and not by much together with what the dissipation took: an
 unstable flow that the dissipation holds at a bounded level stores little and would pass on its stored energy alone (no
@@ -52,8 +53,9 @@ def least_stress(eye: Eye) -> float:
     cornea = eye.cornea
     if not cornea.is_shell:
         return 0.0
-    rigidity = float(cornea.rigidity(cornea.thickness))
-    return -2.0 * math.sqrt(rigidity * eye.youngs_modulus / cornea.thickness) / eye.section.radius
+    rigidity = float(eye.rigidity(cornea.thickness))
+    bent = 2.0 * math.sqrt(rigidity * eye.youngs_modulus / cornea.thickness) / eye.section.radius
+    return -bent - eye.shear_stiffness
 
 
 def check(
@@ -140,7 +142,8 @@ def _failing(stress: float, lobes: int | None) -> tuple[str, str]:
         )
     return (
         f"the cornea folded into {lobes} lobes (smallest principal stress {stress / 1e3:.3g} kPa)",
-        "Lower puff.peak_kpa, raise eye.iop_mmhg, cornea.prestrain or cornea.flexural_modulus_mpa.",
+        "Lower puff.peak_kpa, raise eye.iop_mmhg, cornea.prestrain, cornea.flexural_modulus_mpa or "
+        "cornea.shear_modulus_kpa.",
     )
 
 

@@ -19,6 +19,7 @@ from taichi_eye import backend
 from taichi_eye.cloud.packing import Cloud, cornea_elements, pack
 from taichi_eye.cloud.quality import measure
 from taichi_eye.errors import RunStopped
+from taichi_eye.eye.jet import central_curvature
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.case import case_of
 from taichi_eye.solver.cornea import Cornea
@@ -30,12 +31,13 @@ from taichi_eye.solver.potential import LayerFlow, PotentialFlow
 from taichi_eye.solver.rest import place_cornea
 from taichi_eye.solver.rings import ring_areas
 from taichi_eye.solver.state import State
-from taichi_eye.solver.timestep import bending_limit
+from taichi_eye.solver.timestep import bending_limit, shear_damping
 from taichi_eye.solver.wall_stepper import PUFF_ROWS, RUNNING, WallStepper
 from taichi_eye.solver.workspace import capacity, reuse
 from taichi_eye.units import MM, MS
 
 BULK_MODULUS = 2.2e9  # Pa, water
+MAPS = "neumann", "inverse", "neumann_change", "unit"  # of the flow, as `WallStepper.load_flow` takes them
 ADVICE = Advice(
     unstable='Lower numerics.cfl, or use numerics.fidelity = "mfpm".',
     back="Lower puff.peak_kpa, raise eye.iop_mmhg or chamber.depth_mm, or model the liquid that is in the way: "
@@ -65,11 +67,13 @@ class Reduced:
     scene: resolved; cloud: its `cloud_of` where there is one already. Public: eye, clock, cornea (fields), section,
     cloud (None until a flow is asked for), traces (dict of arrays so far), steps, refreshes, frames [frame, node, 7] as
     `WallStepper.advance` keeps them, out_of_validity (whether a guard stopped the run for what the model is not made
-    for, and not for its numerics).
+    for, and not for its numerics), judges_folding (whether a shell is asked whether it folds; a pilot on a grid that is
+    too coarse to tell sets it to False).
     """
 
     flowing = False  # whether the pressure varies along the wall
     holds_volume = True  # whether a sealed chamber is felt
+    judges_folding = True
     words = ""  # the model of the liquid in a line
 
     def __init__(self, scene, cloud: Cloud | None = None):
@@ -84,7 +88,7 @@ class Reduced:
         wall = reuse(self, kind, lambda: _Wall(size, self.flowing))
         self.cornea, self.stepper = wall.cornea, wall.stepper
         self._liquid: _Liquid | None = None
-        self._neumann, self._refreshed_ms, self._maps = None, 0.0, None
+        self._neumann = self._maps = None
         # the frame last shown with its liquid, and the flow map there
         self._filmed: tuple[int, np.ndarray] | None = None
         self._place_at_rest()
@@ -110,11 +114,13 @@ class Reduced:
             back=self.section.back_height(nodes[:, 0]),
             volume=volume,
             compliance=volume / BULK_MODULUS,
-            globe_compliance=eye.globe.compliance,
+            globe_compliance=eye.globe_compliance,
             globe_delay=eye.globe.delay,
+            globe_pressure=eye.globe_pressure,
             sealed=eye.liquid.sealed and self.holds_volume,
             density=eye.liquid.density,
             bending_step=bending_limit(eye),
+            shear_damping=shear_damping(eye),
             least_stress=-math.inf if eye.cornea.is_shell else 0.0,
         )
 
@@ -220,34 +226,34 @@ class Reduced:
     def _lobes(self, sample: int) -> int | None:
         """The lobes into which a shell folds at a film frame's sample, asked once it is compressed enough."""
         frame = self.clock.frame_of(sample)
-        if frame is None or not self._guard.may_fold(0, self._record[sample]):
+        if frame is None or not self.judges_folding or not self._guard.may_fold(0, self._record[sample]):
             return None
         nodes = self.section.cornea_nodes(self.wall_count - 1)
-        air = self.puff.pressure_at_apex(sample * self.clock.sample_s) * self.puff.radial(nodes[:, 0])
+        place = self.frames[frame, :, :2]
+        spread = self.puff.radial(nodes[:, 0], central_curvature(place, nodes[:, 0]))
+        air = self.puff.pressure_at_apex(sample * self.clock.sample_s) * spread
         net = self.eye.iop + self.frames[frame, :, 6] - air
-        return Folding.of(self.eye, nodes).lobes(self.frames[frame, :, :2], net)
+        return Folding.of(self.eye, nodes).lobes(place, net)
 
     def _flow_maps(self):
         """What makes flow maps of a wall: an object with `refresh()` and `neumann`; asked for where `flowing`."""
         raise TypeError(f"{type(self).__name__} has no flow")
 
     def _refresh(self) -> None:
-        """New flow maps for the present wall; their rate of change is that since the last ones."""
+        """New flow maps for the present wall, and how they have changed since the last ones."""
         flow = self._flow_maps()
-        before, when = self._neumann, self._refreshed_ms
+        before = self._neumann
         flow.refresh()
-        now = self.reached * self.clock.sample_ms
-        since = (now - when) * MS
         walls = self.wall_count - 1
-        rate = (flow.neumann - before) / since if before is not None and since > 0.0 else np.zeros_like(flow.neumann)
-        self._refreshed_ms, self._neumann = now, flow.neumann
+        change = flow.neumann - before if before is not None else np.zeros_like(flow.neumann)
+        self._neumann = flow.neumann
         area = ring_areas(self.cornea.place.to_numpy()[: self.wall_count])[:walls]
         mass = self.cornea.mass.to_numpy()[:walls]
         neumann = flow.neumann[:walls, :walls]
         system = np.eye(walls) + self.eye.liquid.density * neumann * ((area**2).sum(1) / mass)
         inverse = np.linalg.inv(system)
         unit = inverse.sum(1) * float(self.eye.liquid.sealed)
-        self._maps = np.ascontiguousarray(neumann), inverse, np.ascontiguousarray(rate[:walls, :walls]), unit
+        self._maps = np.ascontiguousarray(neumann), inverse, np.ascontiguousarray(change[:walls, :walls]), unit
         self.stepper.load_flow(*self._maps)
         self.refreshes += 1
 
@@ -335,11 +341,9 @@ class Reduced:
         }
         if self._maps is not None:
             walls = self.wall_count - 1
-            aged = self.stepper.neumann.to_numpy()[:walls, :walls]
-            names = ("neumann", "inverse", "neumann_rate", "unit")
-            state |= {f"map_{name}": part for name, part in zip(names, (aged, *self._maps[1:]))}
-            state |= {"map_whole": self._neumann, "map_made_ms": np.array(self._refreshed_ms)}
-            state |= {"map_aged": np.array(self.stepper.aged[None])}
+            carried = self.stepper.neumann.to_numpy()[:walls, :walls]
+            state |= {f"map_{name}": part for name, part in zip(MAPS, (carried, *self._maps[1:]))}
+            state |= {"map_whole": self._neumann, "map_aged": np.array(self.stepper.aged[None])}
         return state
 
     def restore(self, state: State) -> None:
@@ -349,8 +353,8 @@ class Reduced:
         if len(figures) > len(self._record) or frames.shape[1:] != self.frames.shape[1:]:
             raise ValueError("the state belongs to another scene")
         if "map_neumann" in state:
-            self._maps = tuple(state[f"map_{name}"] for name in ("neumann", "inverse", "neumann_rate", "unit"))
-            self._neumann, self._refreshed_ms = state["map_whole"], float(state["map_made_ms"])
+            self._maps = tuple(state[f"map_{name}"] for name in MAPS)
+            self._neumann = state["map_whole"]
             self.stepper.load_flow(*(np.ascontiguousarray(part) for part in self._maps))
             self.stepper.aged[None] = int(state["map_aged"])
         self.stepper.snapshot.put(state)

@@ -10,8 +10,11 @@
     viscous                 g^2 rho / (4 mu)
     membrane, in plane      L / sqrt((B + S1) / rho_s), B the tangent along the meridian: twice the stiffness at twice
                             the stretch, so it shrinks as the cornea dents
-    membrane, transverse    L / sqrt(S1 / rho_s)
-    membrane, bending       (L^2 / 2) sqrt(rho_s h_wall / D): the stiffest wave of a plate, D of the thickest part
+    membrane, transverse    L / sqrt((S1 + 1.22 kappa G) / rho_s), kappa G the modulus of transverse shear
+    membrane, bending       0.338 L^2 sqrt(rho_s h_wall / D), D of the thickest part: the stiffest wave, which sits at
+                            the apex, where the hoop term is as stiff as the meridian's; a flat strip has 0.5
+    membrane, shear         the t with (t / t_transverse)^2 + b t = 1, b = 2.42 (kappa G / rho_s) delay / L^2: what is
+                            left of the transverse limit by the shear's viscosity, taken from the step before
     coupling                sqrt(g rho_s h_wall / (rho c^2)): half of where a sweep stops contracting; beyond, light
                             walls are unstable even where the iteration converges
     volume                  sqrt(rho_s h_wall V / (rho A (c_m^2 - c^2))), A the area of the cornea: half of where the
@@ -36,7 +39,11 @@ NAMES = (
     "membrane bending",
     "coupling",
     "volume",
+    "membrane shear",
 )
+# squared frequency of the stiffest discrete wave, which sits at the apex: of tension or shear, over speed^2 / L^2, and
+# of bending, over D / (rho_s h_wall L^4)
+STIFFEST_SHEAR, STIFFEST_BENDING = 4.842, 35.008
 
 
 class StepLimits:
@@ -50,6 +57,8 @@ class StepLimits:
         self._cfl = np.array([case.scheme.cfl for case in cases])
         self._table = np.empty((len(NAMES), len(constants)))
         self._table[7] = column("volume")
+        self._shear, self._table[8] = column("shear"), math.inf
+        self._viscous_wall = bool(self._shear.any())
 
     def of(self, figures) -> np.ndarray:
         """All limits [s] of the scenes, a row to each of NAMES, from a survey's figures; the next call overwrites
@@ -65,6 +74,10 @@ class StepLimits:
             table[4] = length / np.maximum(figures["transverse_speed"], 1e-9)
             table[5] = length * length * self._bending
             table[6] = np.sqrt(gap) * self._coupling
+            if self._viscous_wall:
+                damping = self._shear / (length * length)
+                limit = 2.0 / (damping + np.sqrt(damping * damping + 4.0 / (table[4] * table[4])))
+                table[8] = np.where(self._shear > 0.0, limit, math.inf)
         return table
 
     def stable_steps(self, figures) -> tuple[np.ndarray, np.ndarray]:
@@ -83,6 +96,7 @@ def _constants(eye, scheme) -> dict[str, float]:
         "damping": 0.55 / max(damping, 1e-30),
         "friction": density / friction if friction > 0.0 else math.inf,
         "bending": bending_limit(eye),
+        "shear": shear_damping(eye),
         "coupling": math.sqrt(wall_mass / density) / c,
         "volume": _volume_limit(eye, scheme, wall_mass),
     }
@@ -90,8 +104,13 @@ def _constants(eye, scheme) -> dict[str, float]:
 
 def bending_limit(eye) -> float:
     """The plate's limit [s] over the square of the element's length [m]; infinite for a membrane."""
-    rigidity = eye.cornea.sudden_rigidity
-    return 0.5 * math.sqrt(eye.cornea.density * eye.cornea.thinnest / rigidity) if rigidity > 0.0 else math.inf
+    rigidity, mass = eye.sudden_rigidity, eye.cornea.density * eye.cornea.thinnest
+    return 2.0 / math.sqrt(STIFFEST_BENDING) * math.sqrt(mass / rigidity) if rigidity > 0.0 else math.inf
+
+
+def shear_damping(eye) -> float:
+    """Rate b of the shear's viscosity times the square of the element's length [m^2/s]; 0 where there is none."""
+    return 0.5 * STIFFEST_SHEAR * eye.shear_stiffness / eye.cornea.density * eye.cornea.shear_delay
 
 
 def _volume_limit(eye, scheme, wall_mass: float) -> float:

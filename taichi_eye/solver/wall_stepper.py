@@ -14,14 +14,18 @@ added_mass  p from incompressible potential flow (`taichi_eye.solver.potential`)
 
 where s runs along the wall, v_n and v_s are the wall's velocity across and along. With a = (F + G p)/m and D = |G|^2/m
 this is (1 + rho N D) p = p0 - rho [N (G . F/m + dG/dt . v) + ...]. N is refreshed once the wall has moved by
-`REFRESH_TRAVEL` spacings; between refreshes the inverse at the last one corrects the defect of the pressure of the step
-before, one sweep per step. What is quadratic in the velocity is taken once per sample.
+`numerics.refresh_travel` spacings; between refreshes it follows the wall's place along the way d between the last two,
+
+    N = N_last + alpha (N_last - N_before),   alpha = (x - x_last) . d / d . d,
+
+(its last known rate in time, tried before, went on while the wall stood still: after the snap of a shell N drifted
+until it fed energy), and the inverse at the last refresh corrects the defect of the pressure of the step before, one
+sweep per step. What is quadratic in the velocity is taken once per sample.
 
 Volume. p0 is the multiplier of V(x) = V0 - C p0 at the END of the step, found by Newton's iteration to 1e-13 of V0, so
 a stiff chamber costs no time step and its volume does not drift. C is the compliance of the globe
-(`chamber.compliance`)
-plus V0 / K with K the bulk modulus of water. A globe whose wall is viscous (`chamber.globe_delay_ms`) takes up y
-instead of its C p0, dy/dt = (C p0 - y) / delay. Where C is so soft that the chamber's own mode is resolved, p0 = (V0 -
+(`taichi_eye.solver.globe`, whose law and delay may make another volume of its C p0) plus V0 / K with K the bulk modulus
+of water. Where C is so soft that the chamber's own mode is resolved, p0 = (V0 -
 V)/C
 of the start of the step: the end's value would damp it. In an open chamber p0 = 0.
 
@@ -59,12 +63,15 @@ class WallStepper:
         self.pressure, self.unit_pressure, self.flux_rate, self.quadratic, self.defect, self.across = (
             scalar() for _ in range(6)
         )
-        self.back, self.travel_from, self.shown_velocity = scalar(), vector(), vector()
+        self.back, self.travel_from, self.way, self.shown_velocity = scalar(), vector(), vector(), vector()
         width = cornea.capacity if flowing else 1
-        self.neumann, self.inverse, self.neumann_rate = (ti.field(fp, (width, width)) for _ in range(3))
+        self.neumann, self.inverse, self.neumann_change = (ti.field(fp, (width, width)) for _ in range(3))
+        self.progress = ti.field(fp, 1)  # alpha; way: d / d . d [1/m]
         self.rest_volume, self.rest_enclosed, self.compliance, self.density = (ti.field(fp, ()) for _ in range(4))
         self.sealed, self.status, self.steps, self.aged = (ti.field(ti.i32, ()) for _ in range(4))
-        self.rest_energy, self.bending_step, self.least_stress = (ti.field(fp, ()) for _ in range(3))
+        self.rest_energy, self.bending_step, self.shear_damping, self.least_stress = (
+            ti.field(fp, ()) for _ in range(4)
+        )
         self.last_dt, self.largest_work = ti.field(fp, 1), ti.field(fp, 1)
         self.snapshot = Snapshot(
             {
@@ -75,10 +82,12 @@ class WallStepper:
                 "wall_pressure": self.pressure,
                 "unit_pressure": self.unit_pressure,
                 "travel_from": self.travel_from,
+                "way": self.way,
             },
             {
                 **cornea.evolving_of_eyes(),
                 **self.globe.evolving(),
+                "map_progress": self.progress,
                 "last_dt": self.last_dt,
                 "largest_work": self.largest_work,
             },
@@ -92,26 +101,29 @@ class WallStepper:
         compliance: float,
         globe_compliance: float,
         globe_delay: float,
+        globe_pressure: float,
         sealed: int,
         density: float,
         bending_step: float,
+        shear_damping: float,
         least_stress: float,
     ):
         """Take the cornea's present state as rest; back [walls]: z of the rigid back below each node [m]; compliance
-        [m^3/Pa] of the liquid and of the globe, and the globe's delay [s]; density of the liquid [kg/m^3];
-        bending_step: limit of the step by the plate's stiffest wave per squared element [s/m^2]; least_stress [Pa]: at
-        which an alarm
-        is given."""
+        [m^3/Pa] of the liquid and of the globe, and the globe's delay [s] and P0 [Pa]; density of the liquid [kg/m^3];
+        bending_step: limit of the step by the plate's stiffest wave per squared element [s/m^2]; shear_damping: rate
+        of the shear's viscosity times a squared element [m^2/s]; least_stress [Pa]: at which an alarm is given."""
         self.sealed[None], self.status[None], self.steps[None], self.aged[None] = sealed, RUNNING, 0, 1
         self.compliance[None], self.rest_volume[None], self.density[None] = compliance, volume, density
-        self.globe.rest(0, globe_compliance, globe_delay)
-        self.last_dt[0], self.largest_work[0] = 0.0, 0.0
-        self.bending_step[None], self.least_stress[None] = bending_step, least_stress
+        self.globe.rest(0, globe_compliance, globe_delay, globe_pressure)
+        self.last_dt[0], self.largest_work[0], self.progress[0] = 0.0, 0.0, 0.0
+        self.bending_step[None], self.shear_damping[None] = bending_step, shear_damping
+        self.least_stress[None] = least_stress
         for i in range(self.cornea.last[0] + 1):
             zero = ti.Vector([0.0, 0.0])
             self.back[i] = back[i]
             self.pressure[i], self.unit_pressure[i], self.quadratic[i], self.flux_rate[i] = 0.0, sealed, 0.0, 0.0
             self.moved[i], self.shown_velocity[i], self.travel_from[i] = zero, zero, self.cornea.place[i]
+            self.way[i] = zero
             self.ring[i] = self.cornea.held(0, i, self.cornea.volume_gradient(0, i))
             self.ring_before[i] = self.ring[i]
         ti.loop_config(serialize=True)
@@ -124,22 +136,30 @@ class WallStepper:
         self,
         neumann: ti.types.ndarray(),
         inverse: ti.types.ndarray(),
-        rate: ti.types.ndarray(),
+        change: ti.types.ndarray(),
         unit: ti.types.ndarray(),
     ):
-        """New maps, `aged` once a node has moved too far: N [1/m], (1 + rho N D)^-1, dN/dt, and the response of the
-        pressure to a unit p0."""
+        """New maps, `aged` once a node has moved too far: N [1/m], (1 + rho N D)^-1, the change of N since the last
+        ones, and the response of the pressure to a unit p0."""
         self.aged[None] = 0
+        ti.loop_config(serialize=True)
+        for _ in range(ONE_TASK):
+            self.progress[0] = 0.0
+            far = 0.0
+            for i in range(unit.shape[0]):
+                far += (self.cornea.place[i] - self.travel_from[i]).norm_sqr()
+            for i in range(unit.shape[0]):
+                self.way[i] = (self.cornea.place[i] - self.travel_from[i]) / ti.max(far, 1e-30)
         for i in range(unit.shape[0]):
             self.unit_pressure[i] = unit[i]
             self.travel_from[i] = self.cornea.place[i]
             for j in range(unit.shape[0]):
                 self.neumann[i, j], self.inverse[i, j] = neumann[i, j], inverse[i, j]
-                self.neumann_rate[i, j] = rate[i, j]
+                self.neumann_change[i, j] = change[i, j]
 
     @ti.func
     def stable_step(self):
-        """The step limit [s] of the cornea's waves now: tension and bending stiffen one and the same wave."""
+        """The step limit [s] of the cornea's waves now: tension, shear and bending stiffen one and the same wave."""
         step = ti.math.inf
         shortest = ti.math.inf
         for k in range(self.cornea.last[0]):
@@ -148,7 +168,9 @@ class WallStepper:
             step = ti.min(step, length / ti.max(ti.max(in_plane, transverse), 1e-6))
             shortest = ti.min(shortest, length)
         plate = self.bending_step[None] * shortest * shortest
-        return 1.0 / ti.sqrt(1.0 / (step * step) + 1.0 / (plate * plate))
+        stiffness = 1.0 / (step * step) + 1.0 / (plate * plate)
+        damping = self.shear_damping[None] / (shortest * shortest)
+        return 2.0 / (damping + ti.sqrt(damping * damping + 4.0 * stiffness))
 
     @ti.func
     def _volume_at(self, place: ti.template()):
@@ -158,6 +180,7 @@ class WallStepper:
     def _collect(self, puff, dt):
         """Forces on the rings at the present place, without the liquid's excess pressure."""
         count = self.cornea.last[0]
+        self.cornea.spread_load(0)
         self.cornea.deform(0, dt)
         work = 0.0
         for i in range(count):
@@ -206,7 +229,9 @@ class WallStepper:
     def _find_quadratic(self):
         """dN/dt Q + (phi_s^2 - v_n^2)/2 - v_s phi_s on the wall, smoothed; phi goes into `defect`."""
         count = self.cornea.last[0]
+        pace = 0.0
         for i in range(count):
+            pace += self.cornea.velocity[i].dot(self.way[i])
             self.across[i] = self.cornea.velocity[i].dot(self.ring[i].normalized())
         for _ in ti.static(range(SMOOTHINGS)):
             self._smooth(self.across)
@@ -216,8 +241,8 @@ class WallStepper:
             potential, drift = 0.0, 0.0
             for j in range(count):
                 potential += self.neumann[i, j] * self.flux_rate[j]
-                drift += self.neumann_rate[i, j] * self.flux_rate[j]
-            self.defect[i], self.quadratic[i] = potential, drift
+                drift += self.neumann_change[i, j] * self.flux_rate[j]
+            self.defect[i], self.quadratic[i] = potential, pace * drift
         # the limbus does not move and takes no part: a one-sided slope beside it
         for i in range(count):
             slope, sliding = 0.0, 0.0
@@ -245,19 +270,21 @@ class WallStepper:
         change, p0 = 0.0, self.globe.mean_pressure[0]
         if self.sealed[None] == 1:
             followed = self.globe.followed(0, dt)
-            compliance = followed * self.globe.compliance[0] + self.compliance[None]
+            soft = self.compliance[None]
             full = self.rest_volume[None] - (1.0 - followed) * self.globe.taken_up[0]
+            held, compliance = self.globe.uptake(0, followed, soft, p0)
             if yielding < compliance:
-                change = (full - self._volume_at(self.cornea.place)) / compliance - p0
+                change = self.globe.pressure_for(0, followed, soft, full - self._volume_at(self.cornea.place)) - p0
             else:
                 for _ in range(4):
                     for i in range(count):
                         a = self.free[i] + self.ring[i] * (change * self.unit_pressure[i] / self.cornea.mass[i])
                         self.trial[i] = self.cornea.place[i] + dt * (self.cornea.velocity[i] + kick * a)
                     self.trial[count] = self.cornea.place[count]
-                    miss = self._volume_at(self.trial) + compliance * (p0 + change) - full
+                    volume, slope = self.globe.uptake(0, followed, soft, p0 + change)
+                    miss = self._volume_at(self.trial) + volume - full
                     if ti.abs(miss) > 1e-13 * self.rest_volume[None]:
-                        change -= miss / (yielding + compliance)
+                        change -= miss / (yielding + slope)
                     else:
                         break
             self.globe.take_up(0, followed, p0 + change)
@@ -307,7 +334,7 @@ class WallStepper:
             self.steps[None] += steps
             reached += 1
             if ti.static(self.flowing):
-                self._age_maps(span)
+                self._carry_maps_on()
             self._survey(record, reached, 0.5 * dt)
             if reached % per_frame == 0 and reached // per_frame < frames.shape[0]:
                 self._keep(frames, reached // per_frame, 0.5 * dt)
@@ -397,11 +424,14 @@ class WallStepper:
         record[row, at.bad_node] = bad
 
     @ti.func
-    def _age_maps(self, span):
-        # the last known rate carries N on until the next refresh
+    def _carry_maps_on(self):
+        progress = 0.0
+        for i in range(self.cornea.last[0]):
+            progress += (self.cornea.place[i] - self.travel_from[i]).dot(self.way[i])
         for i in range(self.cornea.last[0]):
             for j in range(self.cornea.last[0]):
-                self.neumann[i, j] += span * self.neumann_rate[i, j]
+                self.neumann[i, j] += (progress - self.progress[0]) * self.neumann_change[i, j]
+        self.progress[0] = progress
 
     @ti.func
     def _travel(self):

@@ -71,3 +71,34 @@ def test_youngs_modulus_is_that_of_the_calibration():
     assert e > eye.apex_prestrain
     # (S0/eps0)(1 + 4 k eps0^2) is the biaxial tangent
     assert softer.youngs_modulus == pytest.approx(0.51 * softer.rest_stress / e * (1.0 + 4.0 * 86.1 * e**2), rel=1e-12)
+
+
+FOLLOWING = (
+    "cornea.flexural_modulus_mpa=0.02",
+    "cornea.shear_modulus_kpa=12",
+    "cornea.shear_viscosity_ms=0.13",
+    "chamber.compliance_mm3_mmhg=0.3",
+    "chamber.globe_law=friedenwald",
+)
+
+
+@pytest.mark.parametrize("exponent, iop", [(0, 22), (1, 22), (1.3, 9), (1, 15)])
+def test_shear_and_bending_follow_the_pressure_and_the_globe_falls_with_it(exponent, iop):
+    eye = eye_of(load_scene(None, (*FOLLOWING, f"cornea.pressure_exponent={exponent}", f"eye.iop_mmhg={iop}")))
+    share = (iop / 15.0) ** exponent
+    assert eye.shear_stiffness == pytest.approx(10e3 * share, rel=1e-12)
+    assert eye.cornea.shear_delay == pytest.approx(0.13e-3)
+    assert float(eye.rigidity(0.5e-3)) == pytest.approx(2e4 * share * 0.125e-9 / (12.0 * (1.0 - 0.49**2)), rel=1e-12)
+    assert eye.globe_compliance == pytest.approx(0.3e-9 / 133.322387415 * 15.0 / iop, rel=1e-12)
+    assert eye.globe_pressure == eye.iop
+    # another pressure of the same eye is the eye of that pressure
+    other = eye_of(load_scene(None, (*FOLLOWING, f"cornea.pressure_exponent={exponent}"))).but(iop=eye.iop)
+    assert other.shear_stiffness == eye.shear_stiffness and other.globe_compliance == eye.globe_compliance
+    assert other.sudden_rigidity == eye.sudden_rigidity
+
+
+def test_by_default_nothing_follows_the_pressure():
+    eye = eye_of(load_scene(None, ("eye.iop_mmhg=23", "cornea.flexural_modulus_mpa=0.02")))
+    assert eye.stiffening == 1.0 and eye.shear_stiffness == 0.0 and eye.globe_pressure == np.inf
+    assert not eye_of(load_scene()).cornea.is_shell and eye.cornea.is_shell
+    assert eye_of(load_scene(None, ("cornea.shear_modulus_kpa=1",))).cornea.is_shell

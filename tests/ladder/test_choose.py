@@ -1,5 +1,7 @@
 """What auto picks, and why."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -94,3 +96,11 @@ def test_viscous_share_goes_with_the_viscosity():
         shares.append(viscous_share(run))
     assert shares[1] == pytest.approx(10.0 * shares[0], rel=1e-6) and 0.0 < shares[0] < 0.1
     assert np.isfinite(shares).all()
+
+
+def test_a_shell_that_holds_is_not_refused_for_the_lobes_of_a_coarse_pilot():
+    healthy = Path(__file__).parents[2] / "configs" / "corvis_healthy.toml"
+    choice = choose(load_scene(healthy, ("numerics.fidelity=auto", "numerics.tolerance_percent=5")))
+    assert not choice.refused and choice.scene.numerics.fidelity == "added_mass"
+    run = simulation_of(choice.scene)
+    assert run.judges_folding and run.run()["time_ms"][-1] > 31.9

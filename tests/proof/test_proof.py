@@ -8,7 +8,7 @@ import pytest
 from taichi_eye.cli import main
 from taichi_eye.cloud.packing import pack
 from taichi_eye.eye.section import Section
-from taichi_eye.proof import comparison, membranes, spectrum, squeeze, viscous, waves
+from taichi_eye.proof import comparison, membranes, shells, spectrum, squeeze, viscous, waves
 from taichi_eye.proof.domains import Vessel, slip_walls, vessel_cloud
 from taichi_eye.proof.flow import Flow
 
@@ -58,6 +58,12 @@ def test_inflation_converges_at_second_order():
 
 def test_squeeze_flow_is_exact_to_rounding():
     found, _ = squeeze.squeeze(quick=True)
+    assert all(row.passed for row in found)
+
+
+@pytest.mark.parametrize("part", [shells.shear, shells.jet_force, shells.friedenwald])
+def test_shells_jets_and_globes_meet_their_closed_forms(part):
+    found, _ = part(quick=True)
     assert all(row.passed for row in found)
 
 

@@ -53,7 +53,11 @@ EYES = [
     (
         "numerics.duration_ms=3",
         "cornea.flexural_modulus_mpa=0.3",
+        "cornea.shear_modulus_kpa=20",
+        "cornea.shear_viscosity_ms=0.2",
         "chamber.compliance_mm3_mmhg=1",
+        "chamber.globe_law=friedenwald",
+        "puff.dent_feedback=0.4",
         "numerics.dissipation=0.7",
         "numerics.wall_condition=no_slip",
         "numerics.relaxation=fixed",

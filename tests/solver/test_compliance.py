@@ -60,6 +60,16 @@ def test_a_late_globe_takes_energy_and_the_balance_closes(model):
     assert np.abs(late["energy_error_uj"]).max() < 0.01 * work
 
 
+def lagging(times, goal, late):
+    """The exact answer of dy/dt = (goal - y) / late to a goal that goes evenly from time to time."""
+    found = goal.copy()
+    for k in range(1, len(times)):
+        dt, before = times[k] - times[k - 1], found[k - 1]
+        rate = (goal[k] - goal[k - 1]) / dt
+        found[k] = goal[k] - rate * late + (before - goal[k - 1] + rate * late) * np.exp(-dt / late)
+    return found
+
+
 @pytest.mark.parametrize("late", [0.0, 0.7])
 def test_what_the_globe_takes_up_follows_the_pressure_by_its_law(late):
     scene = load_scene(None, [*SHORT, f"chamber.globe_delay_ms={late}"])
@@ -73,11 +83,48 @@ def test_what_the_globe_takes_up_follows_the_pressure_by_its_law(late):
 
     eye.run(on_sample=keep)
     goal = 0.3 * MM3 / MMHG * np.array(pressure)
-    expected = goal.copy()
+    expected = goal
     if late:
-        # the exact answer to a pressure that goes evenly from sample to sample
-        for k in range(1, len(times)):
-            dt, before = times[k] - times[k - 1], expected[k - 1]
-            rate = (goal[k] - goal[k - 1]) / dt
-            expected[k] = goal[k] - rate * late + (before - goal[k - 1] + rate * late) * np.exp(-dt / late)
+        expected = lagging(times, goal, late)
     np.testing.assert_allclose(taken, expected, atol=3e-3 * np.max(taken))
+
+
+STIFFENING = ("chamber.globe_law=friedenwald", "eye.iop_mmhg=18", "camera.frame_interval_ms=0.05")
+
+
+@pytest.mark.parametrize("model", ["cavity", "added_mass", "mfpm"])
+@pytest.mark.parametrize("late", [0.0, 0.5])
+def test_friedenwalds_globe_takes_up_the_logarithm_of_the_pressure(model, late):
+    scene = load_scene(None, [*SHORT, *STIFFENING, f"chamber.globe_delay_ms={late}", f"numerics.fidelity={model}"])
+    eye = simulation_of(scene)
+    times, taken, pressure = [], [], []
+
+    def keep(eye):
+        globe = eye.aqueous.globe if model == "mfpm" else eye.stepper.globe
+        if times and eye.time_ms == times[-1]:
+            return  # a reduced run shows its end again
+        times.append(eye.time_ms)
+        taken.append(globe.taken_up[0])
+        pressure.append(globe.mean_pressure[0])
+
+    traces = eye.run(on_sample=keep)
+    # 0.3 mm^3/mmHg at 15 mmHg: C P0 is 4.5 mm^3 at any pressure
+    goal = 4.5 * MM3 * np.log1p(np.array(pressure) / (18.0 * MMHG))
+    assert max(taken) > 0.5 * MM3
+    if not late:
+        np.testing.assert_allclose(taken, goal, rtol=1e-9, atol=1e-6 * max(taken))
+    else:
+        np.testing.assert_allclose(taken, lagging(times, goal, late), atol=0.01 * max(taken))
+    work = traces["puff_work_uj"].max()
+    assert np.abs(traces["energy_error_uj"]).max() < 5e-3 * work
+    assert traces["tissue_loss_uj"][-1] > (0.005 * work if late else -1e-4 * work)
+
+
+def test_friedenwalds_globe_is_the_linear_one_at_small_pressures_and_stiffer_at_large():
+    def rise(law, peak):
+        keys = (f"chamber.globe_law={law}", f"puff.peak_kpa={peak}", "numerics.fidelity=cavity")
+        pressure = simulation_of(load_scene(None, [*SHORT, *keys])).run()["fluid_pressure_apex_kpa"]
+        return (pressure - pressure[0]).max()
+
+    assert rise("friedenwald", 0.02) == pytest.approx(rise("linear", 0.02), rel=0.01)
+    assert rise("friedenwald", 10) > 1.02 * rise("linear", 10)

@@ -15,7 +15,7 @@ LAW = LAWS["exponential"]
 S = 1e-6  # exponent so small that the law is linear elasticity
 
 
-def shell(thickness, elements=60, reach=0.5 * np.pi, strain=0.0):
+def shell(thickness, elements=60, reach=0.5 * np.pi, strain=0.0, shear=0.0):
     angle = np.linspace(0.0, reach, elements + 1)
     nodes = RADIUS * np.column_stack([np.sin(angle), np.cos(angle)])
     a = YOUNG / (1.0 - NU**2) / (2.0 * S)
@@ -28,6 +28,7 @@ def shell(thickness, elements=60, reach=0.5 * np.pi, strain=0.0):
         poisson_ratio=NU,
         prestrain=strain,
         rigidity=rigidity,
+        shear=shear,
     )
     return folding, nodes
 
@@ -39,6 +40,53 @@ def test_a_sphere_folds_at_the_classical_pressure(thickness):
         strain = -share * critical * RADIUS / (2.0 * thickness) * (1.0 - NU) / YOUNG
         folding, nodes = shell(thickness, strain=strain)
         assert (folding.lobes(nodes, np.full(len(nodes), -share * critical)) is None) == stable
+
+
+@pytest.mark.parametrize("share_of_shear", [0.3, 2.0])
+def test_shear_adds_its_stiffness_to_the_compression_that_a_sphere_bears(share_of_shear):
+    thickness = 0.3e-3
+    # per length: 2 sqrt(D E h) / R by bending, kappa G h by shear; the pressure is 2 / R times their sum
+    bent = YOUNG * thickness**2 / RADIUS / np.sqrt(3.0 * (1.0 - NU**2))
+    shear = share_of_shear * bent
+    for share, stable in ((0.95, True), (1.05, False)):
+        line = share * (bent + shear)
+        strain = -line / thickness * (1.0 - NU) / YOUNG
+        folding, nodes = shell(thickness, strain=strain, shear=shear)
+        assert (folding.lobes(nodes, np.full(len(nodes), -2.0 * line / RADIUS)) is None) == stable
+
+
+@pytest.mark.parametrize("m", [2, 6])
+def test_the_shear_in_the_form_is_the_second_difference_of_its_energy(m):
+    rng = np.random.default_rng(5)
+    folding, nodes = shell(0.3e-3, elements=12, reach=0.9, shear=7.0)
+    with_shear = folding.form(nodes, np.zeros(13), m)
+    folding.shear = np.zeros(12)
+    form = with_shear - folding.form(nodes, np.zeros(13), m)
+    shift = np.zeros((13, 3))
+    shift[1:-1] = 1e-7 * rng.normal(size=(11, 3))
+    vector = shift[1:-1].ravel()
+    energies = [shear_energy(folding, nodes, sign * shift, m, 7.0) for sign in (1.0, 0.0, -1.0)]
+    assert energies[0] - 2.0 * energies[1] + energies[2] == pytest.approx(
+        np.pi * vector @ form @ vector / 2.0, rel=1e-3
+    )
+
+
+def shear_energy(folding, place, shift, m, stiffness, samples=96):
+    """kappa G h / 2 of the squared sine between the surface's normal and that at rest, over the surface at rest."""
+    mean = lambda v: 0.5 * (v[1:] + v[:-1])  # noqa: E731
+    angle = np.arctan2(-np.diff(folding.rest[:, 1]), np.diff(folding.rest[:, 0]))
+    frozen = np.array([np.sin(angle), np.zeros(12), np.cos(angle)])
+    total = 0.0
+    for phi in 2.0 * np.pi * (np.arange(samples) + 0.5) / samples:
+        c, s = np.cos(m * phi), np.sin(m * phi)
+        r, t, z = place[:, 0] + shift[:, 0] * c, shift[:, 1] * s, place[:, 1] + shift[:, 2] * c
+        rp, tp, zp = -m * shift[:, 0] * s, m * shift[:, 1] * c, -m * shift[:, 2] * s
+        along = np.array([np.diff(v) / folding.length for v in (r, t, z)])
+        around = np.array([mean(rp - t), mean(r + tp), mean(zp)])
+        normal = np.cross(along, around, axis=0)
+        cosine = (normal * frozen).sum(0) / np.linalg.norm(normal, axis=0)
+        total += (0.5 * stiffness * folding.radius * folding.length * (1.0 - cosine**2)).sum()
+    return total * 2.0 * np.pi / samples
 
 
 def test_a_state_that_is_not_finite_is_not_called_a_fold():

@@ -1,5 +1,7 @@
 """Reduced models: volume, energy, statics, their agreement where physics makes them one, and their stops."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -166,3 +168,13 @@ def test_the_liquid_shown_moves_with_the_wall():
     inner = slice(1, -3)
     assert (liquid * normal).sum(1)[inner] == pytest.approx(speed[inner], abs=0.05 * np.abs(speed).max())
     assert np.isfinite(pressure).all()
+
+
+def test_added_mass_stays_sound_where_a_shell_rings_on_after_its_snap():
+    """The flow's maps follow the wall's place: a wall that has come back and rings in place ages none of them."""
+    healthy = Path(__file__).parents[2] / "configs" / "corvis_healthy.toml"
+    traces = simulation_of(load_scene(healthy, ("numerics.fidelity=added_mass",))).run()
+    work = traces["puff_work_uj"].max()
+    assert traces["time_ms"][-1] > 31.9
+    assert np.abs(traces["energy_error_uj"]).max() < 2e-3 * work
+    assert abs(traces["apex_displacement_mm"][-1]) < 0.01

@@ -17,6 +17,10 @@ SHELL = (
     "cornea.viscoelastic_share=0.3",
     "chamber.compliance_mm3_mmhg=0.2",
     "chamber.globe_delay_ms=0.5",
+    "chamber.globe_law=friedenwald",
+    "cornea.shear_modulus_kpa=10",
+    "cornea.shear_viscosity_ms=0.1",
+    "puff.dent_feedback=0.5",
 )
 SCENES = {
     "membrane": ("puff.peak_kpa=3",),
