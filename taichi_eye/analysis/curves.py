@@ -25,6 +25,7 @@ REST_MS = 1.2  # frames that make up the resting shape
 SYMMETRY_MM = 2.2  # reach of the symmetry that gives the axis
 MOVED_MM = 0.05
 FOUND_MIN = 0.6  # share of the central columns with an edge, for a frame to count
+BRIDGE_MM = 0.45  # seen on either side of a gap that it is bridged from, at least
 CENTRAL_MM = 0.6  # half width of the zone of the central thickness
 
 
@@ -96,14 +97,16 @@ def curves_from_edges(edges: Edges, time_ms: np.ndarray, instrument: Instrument)
     notes = []
     if not good.all():
         notes.append(f"{(~good).sum()} frames without a corneal section left out")
-    cut = (~seen[good][:, third]).any(axis=1).sum()
     time = np.asarray(time_ms, float)[good]
     rows = edges.anterior[good]
     x_px = np.arange(width) * instrument.pixel_x_mm
     height = -rows * instrument.pixel_y_mm
-    if cut > 0.02 * len(time):
-        notes.append(f"the cornea's top is cut off or hidden in {cut} frames; bridged by an even polynomial")
-        height = np.stack([_bridged(x_px, one) for one in height])
+    hidden = (~seen[good][:, third]).any(axis=1).sum()
+    if hidden:
+        notes.append(f"a part of the edge is masked in {hidden} frames (cut off, or a lash or a speck over it); bridged")
+    gap_mm = np.zeros(len(time))
+    for k, one in enumerate(height):
+        height[k], gap_mm[k] = _bridged(x_px, one)
     rest = time <= time[0] + REST_MS
     if time[0] > 3.0:
         notes.append(f"the first frame is at {time[0]:.2f} ms: displacements are from there, not from rest")
@@ -246,15 +249,21 @@ def _tangent(x: np.ndarray, base: np.ndarray, centre: float) -> tuple[float, flo
     return float(fit[1]), float(fit[0])
 
 
-def _bridged(x: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """A curve with its gap bridged by the least-squares quartic through what is seen."""
+def _bridged(x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, float]:
+    """A curve with each of its inner gaps bridged by the least-squares quartic through as much on either side, and the
+    width of the widest."""
     good = np.isfinite(z)
     if good.all() or good.sum() < 20:
-        return z
-    middle = 0.5 * (x[0] + x[-1])
-    near = good & (np.abs(x - middle) < 4.2)
-    fit = np.polynomial.polynomial.polyfit(x[near] - middle, z[near], 4)
-    first, last = np.flatnonzero(good)[[0, -1]]
-    inner = np.zeros(len(x), bool)
-    inner[first:last] = True
-    return np.where(good | ~inner, z, np.polynomial.polynomial.polyval(x - middle, fit))
+        return z, 0.0
+    seen, out, widest = np.flatnonzero(good), z.copy(), 0.0
+    for before, after in zip(seen[:-1], seen[1:]):
+        if after == before + 1:
+            continue
+        middle, width = 0.5 * (x[before] + x[after]), x[after] - x[before]
+        widest = max(widest, width)
+        reach = 0.5 * width + max(BRIDGE_MM, width)
+        near = good & (np.abs(x - middle) < reach)
+        fit = np.polynomial.polynomial.polyfit((x[near] - middle) / reach, z[near], 4)
+        gap = slice(before + 1, after)
+        out[gap] = np.polynomial.polynomial.polyval((x[gap] - middle) / reach, fit)
+    return out, widest

@@ -39,6 +39,7 @@ OUTLIER_PX = 2.5  # from the median of the neighbouring columns
 CURVE_EVERY = 4  # columns
 CURVE_STAGES = (4, 22.0), (6, 10.0), (8, 6.0), (10, 4.0), (12, 3.5)  # degree; rows from it that count no more
 FOREIGN_LIGHT = 1.7  # of the anterior line's usual brightness
+FOREIGN_AIR = 0.2  # of that brightness, over the column's usual air
 FOREIGN_MARGIN_PX = 17  # columns masked about what is foreign
 GROUP_PX = 12  # columns of a posterior fit
 
@@ -62,10 +63,13 @@ def find_edges(frames: np.ndarray) -> Edges:
     coarse = np.concatenate([_paths(part) for part in _chunks(frames)])
     coarse = continued(coarse, coarse >= 1.0)
     parts = [_refine(part, path) for part, path in zip(_chunks(frames), _chunks(coarse))]
-    anterior, contrast, surface, level = (np.concatenate([part[k] for part in parts]) for k in range(4))
-    anterior[_foreign(anterior, contrast)] = np.nan
+    anterior, contrast, air, surface, level = (np.concatenate([part[k] for part in parts]) for k in range(5))
+    foreign = _foreign(anterior, contrast, air)
+    anterior[foreign] = np.nan
     groups = frames.shape[2] // GROUP_PX
     posterior = surface + posterior_depth(offsets()[offsets() >= FROM_PX], level)
+    hidden = foreign[:, : groups * GROUP_PX].reshape(len(frames), groups, GROUP_PX).any(axis=2)
+    posterior = np.where(hidden, np.nan, posterior)
     return Edges(anterior, posterior, (np.arange(groups) + 0.5) * GROUP_PX - 0.5, contrast)
 
 
@@ -157,38 +161,40 @@ def continued(row: np.ndarray, seen: np.ndarray) -> np.ndarray:
     return np.where(np.abs(row - curve) > CURVE_STAGES[-1][1], np.where(seen | (curve > 0.0), curve, row), row)
 
 
-def _foreign(row: np.ndarray, contrast: np.ndarray) -> np.ndarray:
+def _foreign(row: np.ndarray, contrast: np.ndarray, air: np.ndarray) -> np.ndarray:
     """Where an edge [frames, columns] is not the cornea's: a lash, a speck or a logo lies over it.
 
-    Its line is far brighter than that of its neighbours, or it leaves the frame's smooth curve.
+    Its line is far brighter than that of its neighbours, or what should be air is lit, or it leaves the frame's
+    smooth curve.
     """
     good = np.isfinite(row)
     usual = np.median(np.where(good, contrast, 0.0), axis=0)
     usual = median_filter(usual, size=len(usual) // 4, mode="mirror")
     foreign = good & (contrast > FOREIGN_LIGHT * np.maximum(usual, CONTRAST_MIN))
+    foreign |= good & (air - np.median(air, axis=0) > FOREIGN_AIR * np.maximum(usual, CONTRAST_MIN))
     foreign |= good & (np.abs(row - continued(row, good & ~foreign)) > 0.0)
     return binary_dilation(foreign, np.ones((1, FOREIGN_MARGIN_PX)))
 
 
 def _refine(frames: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Anterior rows and contrast [frames, columns]; for groups of columns the surface's rows [frames, groups] and the
+    """Anterior rows, contrast and level of the air [frames, columns]; for groups of columns the surface's rows [frames, groups] and the
     grey levels at the depths from posterior.FROM_PX on [frames, depths, groups]."""
     cut = path < 1.0
     guide = gaussian_filter1d(median_filter(path, size=(1, 9), mode="nearest"), 5.0, axis=1, mode="nearest")
     image = frames.astype(np.float32)
     for _ in range(2):
         offset, straight = _straighten(image, guide)
-        found, contrast = _half_rise(offset, straight)
+        found, line, air = _half_rise(offset, straight)
         row = np.where(cut, np.nan, guide + found)
         row = _without_outliers(row)
         guide = gaussian_filter1d(_filled(row, guide), 4.0, axis=1, mode="nearest")
-    row[contrast < CONTRAST_MIN] = np.nan
+    row[line - air < CONTRAST_MIN] = np.nan
     surface = _filled(row, guide)
     offset, straight = _straighten(image, surface)
     groups = row.shape[1] // GROUP_PX
     used = offset >= FROM_PX
     level = straight[:, used, : groups * GROUP_PX].reshape(len(row), used.sum(), groups, GROUP_PX).mean(axis=3)
-    return row, contrast, surface[:, : groups * GROUP_PX].reshape(len(row), groups, GROUP_PX).mean(axis=2), level
+    return row, line - air, air, surface[:, : groups * GROUP_PX].reshape(len(row), groups, GROUP_PX).mean(axis=2), level
 
 
 def offsets() -> np.ndarray:
@@ -207,8 +213,8 @@ def _straighten(image: np.ndarray, guide: np.ndarray) -> tuple[np.ndarray, np.nd
     return offset, above + share * (np.take_along_axis(image, low + 1, axis=1) - above)
 
 
-def _half_rise(offset: np.ndarray, straight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Offset of the half rise from air to anterior line, and the line's height over the air."""
+def _half_rise(offset: np.ndarray, straight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Offset of the half rise from air to anterior line, and the levels of line and air."""
     near = offset <= LINE_WITHIN_PX
     part, offset = straight[:, near], offset[near]
     # a speck, or a logo's corner, stands out over its neighbours: what exceeds them by far is cut off
@@ -226,7 +232,7 @@ def _half_rise(offset: np.ndarray, straight: np.ndarray) -> tuple[np.ndarray, np
     last = np.minimum(np.where(below.any(axis=1), last, 0), len(offset) - 2)
     a, b = (np.take_along_axis(part, k[:, None], axis=1)[:, 0] for k in (last, last + 1))
     share = np.clip((half - a) / np.maximum(b - a, 1e-3), 0.0, 1.0)
-    return np.where(below.any(axis=1), offset[last] + STEP_PX * share, np.nan), top - air
+    return np.where(below.any(axis=1), offset[last] + STEP_PX * share, np.nan), top, air
 
 
 def _without_outliers(row: np.ndarray) -> np.ndarray:
