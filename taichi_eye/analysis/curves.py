@@ -17,6 +17,7 @@ from scipy.signal import savgol_filter
 
 from taichi_eye.analysis import optics
 from taichi_eye.analysis.edges import Edges
+from taichi_eye.analysis.following import following
 from taichi_eye.errors import FilmError
 
 X_STEP_MM, X_REACH_MM = 0.02, 4.5
@@ -24,6 +25,8 @@ SMOOTH_MM = 0.62  # length of the cubic that smooths a curve
 REST_MS = 1.2  # frames that make up the resting shape
 SYMMETRY_MM = 2.2  # reach of the symmetry that gives the axis
 MOVED_MM = 0.05
+FRAMES_MIN = 8
+FOLLOWING_MIN = 0.65  # share of the frames that follow from their neighbours
 FOUND_MIN = 0.6  # share of the central columns with an edge, for a frame to count
 BRIDGE_MM = 0.45  # seen on either side of a gap that it is bridged from, at least
 CENTRAL_MM = 0.6  # half width of the zone of the central thickness
@@ -46,7 +49,8 @@ class Curves:
 
     time_ms [frames], rising; x_mm [points]; height_mm [frames, points], NaN where not seen; thickness_mm [frames], the
     mean over the central 1.2 mm, and thickness_profile_mm [points] at rest, or None. axis_column_px, apex_row_px,
-    tilt_deg: where the eye lies in the frame. notes: what a reader should know.
+    tilt_deg: where the eye lies in the frame. hidden_mm [frames]: the widest part of a curve that was bridged, or None.
+    notes: what a reader should know.
     """
 
     time_ms: np.ndarray
@@ -57,6 +61,7 @@ class Curves:
     axis_column_px: float = 0.0
     apex_row_px: float = 0.0
     tilt_deg: float = 0.0
+    hidden_mm: np.ndarray | None = None
     notes: tuple[str, ...] = field(default=())
 
 
@@ -92,21 +97,31 @@ def curves_from_edges(edges: Edges, time_ms: np.ndarray, instrument: Instrument)
     width = seen.shape[1]
     third = slice(width // 3, width - width // 3)
     good = seen.mean(axis=1) > FOUND_MIN
-    if good.mean() < 0.5 or good.sum() < 8:
-        raise FilmError(f"a corneal section was found in {good.sum()} of {len(good)} frames only")
+    if good.mean() < 0.5 or good.sum() < FRAMES_MIN:
+        raise FilmError(f"no cornea: a corneal section was found in {good.sum()} of {len(good)} frames only")
     notes = []
     if not good.all():
         notes.append(f"{(~good).sum()} frames without a corneal section left out")
     time = np.asarray(time_ms, float)[good]
-    rows = edges.anterior[good]
     x_px = np.arange(width) * instrument.pixel_x_mm
-    height = -rows * instrument.pixel_y_mm
-    hidden = (~seen[good][:, third]).any(axis=1).sum()
-    if hidden:
-        notes.append(f"a part of the edge is masked in {hidden} frames (cut off, or a lash or a speck over it); bridged")
-    gap_mm = np.zeros(len(time))
-    for k, one in enumerate(height):
-        height[k], gap_mm[k] = _bridged(x_px, one)
+    height, hidden_mm = (
+        np.stack(part) for part in zip(*(_bridged(x_px, -row * instrument.pixel_y_mm) for row in edges.anterior[good]))
+    )
+    steady = following(time, height)
+    if steady.mean() < FOLLOWING_MIN or steady.sum() < FRAMES_MIN:
+        raise FilmError(
+            f"no cornea, or frames out of order: the edge jumps from frame to frame, {(~steady).sum()} of {len(steady)} "
+            "times"
+        )
+    if not steady.all():
+        notes.append(f"{(~steady).sum()} frames whose edge does not follow from their neighbours' left out")
+    masked = ((~seen[good][:, third]).any(axis=1) & steady).sum()
+    if masked:
+        notes.append(
+            f"a part of the edge is masked in {masked} frames (cut off, or a lash or a speck over it); bridged"
+        )
+    time, height, hidden_mm = time[steady], height[steady], hidden_mm[steady]
+    good[good] = steady
     rest = time <= time[0] + REST_MS
     if time[0] > 3.0:
         notes.append(f"the first frame is at {time[0]:.2f} ms: displacements are from there, not from rest")
@@ -147,6 +162,7 @@ def curves_from_edges(edges: Edges, time_ms: np.ndarray, instrument: Instrument)
         centre / instrument.pixel_x_mm,
         -top / instrument.pixel_y_mm,
         degrees(turn),
+        hidden_mm,
         tuple(notes),
     )
 

@@ -104,9 +104,7 @@ def _blur(depth: np.ndarray, level: np.ndarray, centre: np.ndarray) -> float:
     level_groups = slice(3 * len(centre) // 8, len(centre) - 3 * len(centre) // 8)
     part = level[some][:, :, level_groups]
     # the fall alone: over a longer window the blur would make up for what the model lacks of the line
-    left = [
-        _misfit(depth, part, centre[level_groups], _fall(blur), BLUR_FROM_PX).min(axis=0).sum() for blur in BLUR_PX
-    ]
+    left = [_misfit(depth, part, centre[level_groups], _fall(blur), BLUR_FROM_PX).min(axis=0).sum() for blur in BLUR_PX]
     best = int(np.argmin(left))
     if not 0 < best < len(left) - 1:
         return BLUR_PX[best]

@@ -210,18 +210,26 @@ def moving(
 
 def circle_curvature(x: np.ndarray, height: np.ndarray) -> float:
     """Curvature [1/mm] of the circle through the central 2 mm by least squares, convex positive; NaN with gaps."""
-    near = np.abs(x) <= CURVATURE_MM
+    return circle(x, height, CURVATURE_MM)[0]
+
+
+def circle(x: np.ndarray, height: np.ndarray, reach: float) -> tuple[float, float]:
+    """Curvature [1/mm], convex positive, of the circle through |x| <= reach by least squares, and the rms distance of
+    the heights from it [mm]; NaN with gaps."""
+    near = np.abs(x) <= reach
     z, at = height[near], x[near]
     good = np.isfinite(z)
     if good.mean() < 0.9:
-        return np.nan
+        return np.nan, np.nan
     z, at = z[good], at[good]
     bend = 0.0
     for _ in range(4):
         # height of a circle of this curvature over its pole
         sag = at**2 / (1.0 + np.sqrt(np.clip(1.0 - bend**2 * at**2, 0.04, None)))
-        bend = -np.linalg.lstsq(np.column_stack([sag, at, np.ones_like(at)]), z, rcond=None)[0][0]
-    return float(bend)
+        shape = np.column_stack([sag, at, np.ones_like(at)])
+        fit = np.linalg.lstsq(shape, z, rcond=None)[0]
+        bend = -fit[0]
+    return float(bend), float(np.sqrt(np.mean((z - shape @ fit) ** 2)))
 
 
 def _response(found: dict[str, float | None]) -> Response:

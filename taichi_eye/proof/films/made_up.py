@@ -47,9 +47,7 @@ def apparent_depth_px(x_mm: np.ndarray, height_mm: np.ndarray, thickness_um: flo
     anterior = np.stack([np.interp(x_mm, inner, one) for one in height_mm])
     depth = np.full(anterior.shape, 0.62e-3 * thickness_um)
     for _ in range(6):
-        seen = optics.thickness(
-            inner, height_mm, x_mm, anterior - depth, camera.angle_deg, camera.refractive_index
-        )
+        seen = optics.thickness(inner, height_mm, x_mm, anterior - depth, camera.angle_deg, camera.refractive_index)
         depth += 0.6 * (1e-3 * thickness_um - np.nan_to_num(seen, nan=1e-3 * thickness_um))
     return depth / camera.pixel_y_mm
 
