@@ -126,6 +126,10 @@ def curves_from_edges(edges: Edges, time_ms: np.ndarray, instrument: Instrument)
     if time[0] > 3.0:
         notes.append(f"the first frame is at {time[0]:.2f} ms: displacements are from there, not from rest")
     base = _mean_rest(height, rest)
+    end = time >= time[-1] - REST_MS
+    if _bend(x_px, base) >= 0.0 > _bend(x_px, _mean_rest(height, end)):
+        # the film starts in the dent: the eye's place is read from its end
+        rest, base = end, _mean_rest(height, end)
     x = grid()
     centre = _axis(x_px, base - height)
     if centre is None:
@@ -250,6 +254,12 @@ def _axis(x: np.ndarray, displacement: np.ndarray) -> float | None:
         return float(candidates[best])
     a, b, c = cost[best - 1], cost[best], cost[best + 1]
     return float(candidates[best] + 0.01 * 0.5 * (a - c) / max(a - 2.0 * b + c, 1e-30))
+
+
+def _bend(x: np.ndarray, base: np.ndarray) -> float:
+    """Curvature of a curve's middle half, negative while convex."""
+    near = np.isfinite(base) & (np.abs(x - x.mean()) < 0.25 * np.ptp(x))
+    return float(np.polyfit(x[near] - x.mean(), base[near], 2)[0]) if near.sum() > 10 else 0.0
 
 
 def _pole(x: np.ndarray, base: np.ndarray) -> float:

@@ -24,7 +24,7 @@ from scipy.ndimage import binary_dilation, correlate1d, gaussian_filter1d, media
 from taichi_eye.analysis.posterior import FROM_PX, posterior_depth
 
 REACH_PX = 8  # rows averaged on either side of a step
-CEILING = 0.30  # of the typical step of a frame's central columns: more does not count
+CEILING = 0.30  # of the step that a quarter of a frame's columns exceed: more does not count
 SLOPE_MAX_PX = 4  # rows from one column pair to the next
 SLOPE_COST = 0.03  # of the ceiling, per row of change
 LIT_ABOVE = 0.5  # weight of what shines above a step
@@ -101,8 +101,7 @@ def _paths(frames: np.ndarray) -> np.ndarray:
         return (total[:, k + stop : k + stop + rows] - total[:, k + start : k + start + rows]) / (stop - start)
 
     step = mean(0, REACH_PX) - mean(-REACH_PX, 0)
-    third = pairs // 3
-    ceiling = CEILING * np.median(step[:, :, third:-third].max(axis=1), axis=1)[:, None, None]
+    ceiling = CEILING * np.percentile(step.max(axis=1), 75, axis=1)[:, None, None]
     ceiling = np.maximum(ceiling, 2.0).astype(np.float32)
     lit = np.maximum(mean(-LIT_REACH_PX, -REACH_PX) - air - 3.0, 0.0)
     gain = (np.clip(step, -ceiling, ceiling) - LIT_ABOVE * np.minimum(lit, 2.0 * ceiling)) / ceiling
@@ -168,12 +167,21 @@ def _foreign(row: np.ndarray, contrast: np.ndarray, air: np.ndarray) -> np.ndarr
     smooth curve.
     """
     good = np.isfinite(row)
-    usual = np.median(np.where(good, contrast, 0.0), axis=0)
+    usual, clear = (_usual(np.where(good, level, np.nan)) for level in (contrast, air))
     usual = median_filter(usual, size=len(usual) // 4, mode="mirror")
     foreign = good & (contrast > FOREIGN_LIGHT * np.maximum(usual, CONTRAST_MIN))
-    foreign |= good & (air - np.median(air, axis=0) > FOREIGN_AIR * np.maximum(usual, CONTRAST_MIN))
+    foreign |= good & (air - clear > FOREIGN_AIR * np.maximum(usual, CONTRAST_MIN))
     foreign |= good & (np.abs(row - continued(row, good & ~foreign)) > 0.0)
     return binary_dilation(foreign, np.ones((1, FOREIGN_MARGIN_PX)))
+
+
+def _usual(level: np.ndarray) -> np.ndarray:
+    """Median over the frames of levels [frames, columns], bridged over columns that are NaN in all; 0 without any."""
+    seen = np.isfinite(level).any(axis=0)
+    if not seen.any():
+        return np.zeros(level.shape[1])
+    at = np.arange(level.shape[1])
+    return np.interp(at, at[seen], np.nanmedian(level[:, seen], axis=0))
 
 
 def _refine(frames: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -95,7 +95,7 @@ def believed(response: Response, curves: Curves, history: Histories, timed_by: s
     _doubt_events(response, curves, time, doubt)
     a1, hc, a2 = response.a1_time_ms, response.hc_time_ms, response.a2_time_ms
     if None not in (a1, a2) and timed_by != TIMED[2] and a2 - hc > BACKWARDS * (hc - a1):
-        doubt((*CLOCK, *SPEED), "the dent forms faster than it goes, as in a film that runs backwards")
+        doubt((*FROM_REST, *CLOCK, *SPEED), "the dent forms faster than it goes, as in a film that runs backwards")
     by_reason: dict[str, list[str]] = {}
     for name, reason in doubts.items():
         by_reason.setdefault(reason, []).append(name)
