@@ -251,6 +251,7 @@ def _summary(simulation, traces, history, stop, clock, measured) -> dict:
     }
     summary["warnings"] = _warnings(summary, simulation.scene)
     if measured is not None:
+        summary["warnings"] += [f"--compare {measured.name}: {note}" for note in measured.notes]
         summary["against"] = {
             "file": measured.name,
             **differences(traces["time_ms"], traces["apex_displacement_mm"], measured),

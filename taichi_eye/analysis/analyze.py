@@ -25,8 +25,10 @@ from taichi_eye.analysis.response import (
     respond,
 )
 from taichi_eye.errors import FilmError
-from taichi_eye.report.folder import create_run_folder, replacing, write_text
+from taichi_eye.film import EncoderError
+from taichi_eye.report.folder import create_run_folder, refuse_taken, replacing, write_text
 
+NAME_MAX = 100  # letters of the film's name in the folder's
 PRESSURE_MMHG, AGE_YEARS = (0.0, 100.0), (0.0, 130.0)
 
 
@@ -63,6 +65,8 @@ def analyze(
     can be read, before anything is written; SceneError for a bad output folder.
     """
     _refuse_pressures(iop_nct_mmhg=iop_nct_mmhg, age_years=age_years, biop_mmhg=biop_mmhg)
+    if write:
+        refuse_taken(out)
     film = read_film(path, **settings)
     pressure = biop_mmhg if biop_mmhg is not None else film.iop_mmhg
     interval = film.instrument.frame_interval_ms
@@ -82,7 +86,7 @@ def analyze(
         response = respond(curves, interval, pressure, puff)
     response, doubts = believed(response, curves, history, film.timed_by)
     notes = [f"frame times from {film.timed_by}", *film.notes, *curves.notes, *doubts]
-    if response.deformation_amplitude_mm is None and not np.nanmax(history.apex_mm) > MOVED_MM:
+    if response.deformation_amplitude_mm is None and not (np.nan_to_num(history.apex_mm) > MOVED_MM).any():
         notes.append(f"the cornea moves less than {MOVED_MM:g} mm: no parameters of an air puff")
     elif response.a1_time_ms is None or response.a2_time_ms is None:
         notes.append("an applanation is missing: the film ends early, starts late, or the dent stays convex")
@@ -93,8 +97,11 @@ def analyze(
     result = Analysis(film, edges, curves, history, response, true_history, true_response, tuple(notes))
     if not write:
         return result
-    folder = create_run_folder(out, f"{film.name}-analysis")
-    write_results(result, folder)
+    folder = create_run_folder(out, f"{film.name[:NAME_MAX]}-analysis")
+    try:
+        write_results(result, folder)
+    except (OSError, EncoderError) as error:
+        raise FilmError(f"{folder}: the results could not be written in full ({error})") from None
     return Analysis(**{**vars(result), "folder": folder})
 
 

@@ -27,7 +27,7 @@ SYMMETRY_MM = 2.2  # reach of the symmetry that gives the axis
 MOVED_MM = 0.05
 FRAMES_MIN = 8
 FOLLOWING_MIN = 0.65  # share of the frames that follow from their neighbours
-FOUND_MIN = 0.6  # share of the central columns with an edge, for a frame to count
+FOUND_MIN = 0.4  # share of the columns with an edge, for a frame to count
 BRIDGE_MM = 0.45  # seen on either side of a gap that it is bridged from, at least
 CENTRAL_MM = 0.6  # half width of the zone of the central thickness
 
@@ -110,8 +110,8 @@ def curves_from_edges(edges: Edges, time_ms: np.ndarray, instrument: Instrument)
     steady = following(time, height)
     if steady.mean() < FOLLOWING_MIN or steady.sum() < FRAMES_MIN:
         raise FilmError(
-            f"no cornea, or frames out of order: the edge jumps from frame to frame, {(~steady).sum()} of {len(steady)} "
-            "times"
+            "no cornea, or frames out of order: the edge jumps from frame to frame, "
+            f"{(~steady).sum()} of {len(steady)} times"
         )
     if not steady.all():
         notes.append(f"{(~steady).sum()} frames whose edge does not follow from their neighbours' left out")

@@ -250,7 +250,7 @@ def flattened(image: np.ndarray) -> np.ndarray:
 
 
 def in_colours(image: np.ndarray) -> bool:
-    """Whether a picture, RGB [rows, columns, 3], holds more than one colour: no slit frame does, tinted as it may be."""
+    """Whether a picture, RGB [rows, columns, 3], holds more than one colour; a slit frame may be tinted by one."""
     image = image.astype(np.int16)
     vivid = image.max(axis=2) - image.min(axis=2) > COLOURED
     share = np.bincount(image.argmax(axis=2)[vivid], minlength=3) / vivid.size

@@ -185,8 +185,8 @@ def _usual(level: np.ndarray) -> np.ndarray:
 
 
 def _refine(frames: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Anterior rows, contrast and level of the air [frames, columns]; for groups of columns the surface's rows [frames, groups] and the
-    grey levels at the depths from posterior.FROM_PX on [frames, depths, groups]."""
+    """Anterior rows, contrast and level of the air [frames, columns]; for groups of columns the surface's rows
+    [frames, groups] and the grey levels at the depths from posterior.FROM_PX on [frames, depths, groups]."""
     cut = path < 1.0
     guide = gaussian_filter1d(median_filter(path, size=(1, 9), mode="nearest"), 5.0, axis=1, mode="nearest")
     image = frames.astype(np.float32)

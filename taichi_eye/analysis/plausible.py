@@ -1,10 +1,9 @@
 """What a film must be like for its numbers to be believed.
 
-`refuse_what_is_no_cornea` asks of a film
-what every cornea under an air puff shows: at rest it is convex with the radius of an eye, and as thick as a cornea;
-what moves is its middle, its flanks hardly do. `believed` leaves blank what the film cannot tell, and says why: without a
-rest at its start there is no displacement, without frames around an event no event, with time running backwards no
-times. A number that is left stands on what was seen.
+`refuse_what_is_no_cornea` asks of a film what every cornea under an air puff shows: at rest it is convex with the
+radius of an eye, and has a back; what moves is its middle, its flanks hardly do. `believed` leaves blank what the film
+cannot tell, and says why: without a rest at its start there is no displacement, without frames around an event no
+event, with time running backwards no times. A number that is left stands on what was seen.
 """
 
 from __future__ import annotations
@@ -44,18 +43,27 @@ TIMED = ("file names", "stamps in the frames", "the scene's frame interval")
 def refuse_what_is_no_cornea(curves: Curves, history: Histories, response: Response) -> None:
     """FilmError where the curves are not those of a cornea under an air puff."""
     first, last = _ends(history)
-    if not (_like_an_eye(history.x_mm, first) or _like_an_eye(history.x_mm, last)):
+    rests = _like_an_eye(history.x_mm, first)
+    if not (rests or _like_an_eye(history.x_mm, last)):
         curvature, off = circle(history.x_mm, first, CAP_REACH_MM)
         if curvature < -1.0 / EYE_RADIUS_MM[1]:
             raise FilmError("no cornea: what is seen is concave at rest; is the picture upside down?")
-        shape = f"a radius of {1.0 / curvature:.3g} mm" if curvature > 1e-3 else "no convex curve"
-        raise FilmError(
-            f"no cornea: at rest what is seen has {shape} and lies {1e3 * off:.0f} um (rms) off a circle; a cornea is "
-            f"convex with {EYE_RADIUS_MM[0]:g} to {EYE_RADIUS_MM[1]:g} mm"
+        seen = (
+            "no convex curve of an eye's width"
+            if not curvature > 1e-3
+            else (f"a radius of {1.0 / curvature:.3g} mm and lies {1e3 * off:.0f} um (rms) off a circle")
         )
+        raise FilmError(
+            f"no cornea: at rest what is seen has {seen}; a cornea is convex with {EYE_RADIUS_MM[0]:g} to "
+            f"{EYE_RADIUS_MM[1]:g} mm"
+        )
+    if curves.thickness_profile_mm is None or not np.isfinite(curves.thickness_profile_mm).any():
+        raise FilmError("no cornea: what is seen has no posterior edge")
     thickness = response.central_thickness_um
     if thickness is not None and not THICKNESS_UM[0] <= thickness <= THICKNESS_UM[1]:
         raise FilmError(f"no cornea: what is seen is {thickness:.0f} um thick")
+    if not rests:
+        return
     amplitude, whole = response.deformation_amplitude_mm, response.whole_eye_movement_mm or 0.0
     if whole > WHOLE_MAX_MM or (amplitude is not None and whole > max(WHOLE_SHARE_MAX * amplitude, 0.1)):
         raise FilmError(f"no air puff on a cornea: its flanks move by {whole:.2f} mm, as its middle does")

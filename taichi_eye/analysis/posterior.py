@@ -30,6 +30,7 @@ BLUR_FROM_PX = 7.0  # above the edge: all that tells the blur
 BLUR_FRAMES = 24  # that the blur is searched for in
 FALL_MIN = 5.0  # grey levels from stroma to chamber
 STAYS_PX = 2.5  # a fall is one that stays below
+STEEP_PX, STEEP_SHARE = 5.0, 0.5  # within so far on either side it falls by that share
 FADE_MAX, FOOT_MAX = 0.9, 3.0
 ACROSS_GROUPS = 3  # groups whose misfits are averaged
 ALONG_FRAMES = 0.25, 0.5, 0.25  # weights of a frame's misfit and its neighbours': depth changes little between frames
@@ -81,6 +82,14 @@ def _usual(depth: np.ndarray, level: np.ndarray) -> np.ndarray:
     below[:, -stays:] = False
     first = below.argmax(axis=1)
     falls = below.any(axis=1) & (first > 0) & (stroma - chamber > FALL_MIN)
+    # a fall is steep: light that only fades with depth has no edge
+    around = round(STEEP_PX / step)
+    index = np.arange(deep.argmax(), len(depth))[first]
+    ahead, after = (
+        np.take_along_axis(calm, np.clip(index + shift, 0, len(depth) - 1)[:, None], axis=1)[:, 0]
+        for shift in (-around, around)
+    )
+    falls &= ahead - after > STEEP_SHARE * (stroma - chamber)
     place = np.where(falls, depth[deep][first], np.nan)
     enough = falls.mean(axis=0) > 0.5
     usual = np.array([np.nanmedian(one) if good else np.nan for one, good in zip(place.T, enough)])

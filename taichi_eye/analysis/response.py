@@ -140,7 +140,7 @@ def respond(
         whole_time, whole = _top(time, h.whole_eye_mm, 2.5)
         if whole > 0.02:
             found |= {"whole_eye_movement_mm": whole, "whole_eye_movement_time_ms": whole_time}
-    if not np.nanmax(h.apex_mm) > MOVED_MM:
+    if not (np.nan_to_num(h.apex_mm) > MOVED_MM).any():
         return _response(found)
     hc, amplitude = _top(time, h.apex_mm, TOP_MS)
     found |= {"hc_time_ms": hc, "deformation_amplitude_mm": amplitude}

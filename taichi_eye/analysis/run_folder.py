@@ -29,8 +29,8 @@ REACH_MAX_MM = 30.0
 
 @dataclass(frozen=True)
 class Run:
-    """A run: its scene; source: the film or folder of its pictures; truth: its curves, and puff_mmhg: the air's pressure
-    at the apex as (time_ms, mmHg), where it kept them."""
+    """A run: its scene; source: the film or folder of its pictures; truth: its curves, and puff_mmhg: the air's
+    pressure at the apex as (time_ms, mmHg), where it kept them."""
 
     scene: Scene
     source: Path

@@ -42,7 +42,7 @@ class Look:
 
 
 def apparent_depth_px(x_mm: np.ndarray, height_mm: np.ndarray, thickness_um: float) -> np.ndarray:
-    """Rows from the anterior to the apparent posterior edge at x_mm, [frames, len(x_mm)], under heights over `grid()`."""
+    """Rows from anterior to apparent posterior edge at x_mm, [frames, len(x_mm)], under heights over `grid()`."""
     camera, inner = Instrument(), grid()
     anterior = np.stack([np.interp(x_mm, inner, one) for one in height_mm])
     depth = np.full(anterior.shape, 0.62e-3 * thickness_um)
