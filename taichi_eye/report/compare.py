@@ -12,7 +12,6 @@ from taichi_eye.errors import SceneError
 from taichi_eye.report.history import summarise
 from taichi_eye.scene.table import read_table
 
-
 DISPLACEMENT, DEFLECTION = "apex_displacement_mm", "deflection_mm"
 # columns of what `analyze` writes
 ANALYSED = "apex_deformation_mm", "apex_deflection_mm"
