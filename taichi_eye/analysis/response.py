@@ -7,7 +7,8 @@ whole-eye movement  mean deformation 3.6 to 4.0 mm from the apex, both sides. de
 curvature        of the circle fitted to the central 2 mm; positive while convex.
 A1, A2           the curvature crosses zero, inwards and outwards. Velocity: slope of the apex deformation, local
                  quadratic over +-0.8 ms. Length: over which the surface leaves its tangent on the axis by less than
-                 10 um. Amplitude: apex deflection.
+                 10 um, read off a sextic over the central 4 mm, for its ripples come close to that. Amplitude: apex
+                 deflection.
 HC               the largest apex deformation. Radius: one over the concave curvature then. Peak distance: between the
                  two highest points of the curve.
 DA ratio         apex deformation over the mean deformation at +-1 or +-2 mm; the largest value from A1 to HC.
@@ -33,7 +34,7 @@ SIDE_MM = 3.6, 4.0  # where whole-eye movement is read
 CURVATURE_MM = 1.0  # half width of the circle
 RATIO_MM = 0.10  # half width of the mean at +-1 and +-2 mm
 ZONE_MM = 3.5  # half width of area and arc length
-FLAT_MM = 0.010
+FLAT_MM, FLAT_REACH_MM = 0.010, 2.0
 SPEED_MS, SHAPE_MS, TOP_MS = 0.8, 0.7, 1.6  # half widths of the moving polynomials
 MOVED_MM = 0.05
 CORVIS_PEAK_MMHG = 96.4  # Oehring 2021, doi 10.3390/app11062499
@@ -315,13 +316,16 @@ def _zone(h: Histories, at: float, name: str) -> dict[str, float]:
 
 
 def _flat_length(x: np.ndarray, z: np.ndarray) -> float:
-    near = np.abs(x) <= 0.3
-    slope, height = np.polyfit(x[near], z[near], 1)
-    off = np.abs(z - height - slope * x) > FLAT_MM
-    left, right = np.flatnonzero(off & (x < 0.0)), np.flatnonzero(off & (x > 0.0))
+    near = (np.abs(x) <= FLAT_REACH_MM) & np.isfinite(z)
+    if near.sum() < 0.9 * (np.abs(x) <= FLAT_REACH_MM).sum():
+        return np.nan
+    fit = np.polynomial.polynomial.polyfit(x[near], z[near], 6)
+    fine = np.arange(-FLAT_REACH_MM, FLAT_REACH_MM, 0.002)
+    off = np.abs(np.polynomial.polynomial.polyval(fine, fit) - fit[0] - fit[1] * fine) > FLAT_MM
+    left, right = np.flatnonzero(off & (fine < 0.0)), np.flatnonzero(off & (fine > 0.0))
     if not len(left) or not len(right):
         return np.nan
-    return float(x[right[0]] - x[left[-1]])
+    return float(fine[right[0]] - fine[left[-1]])
 
 
 def _peak_distance(x: np.ndarray, z: np.ndarray) -> float:

@@ -4,12 +4,15 @@ A part is a module of this room with `measure(stage)`, as in `taichi_eye.bench`:
 """
 
 from taichi_eye.bench import bench
-from taichi_eye.proof.films import damaged, optics, reading, speed
+from taichi_eye.proof.films import back_edges, damaged, mutations, obstacles, optics, reading, speed
 
 PARTS = {
     "optics": optics.measure,
     "reading": reading.measure,
     "damaged": damaged.measure,
+    "back_edges": back_edges.measure,
+    "obstacles": obstacles.measure,
+    "mutations": mutations.measure,
     "speed": speed.measure,
 }
 

@@ -2,7 +2,7 @@
 
 Bytes flipped, zeroed and cut off, files of other kinds, other types and sizes, wrong tables, options at the ends of
 what a number can be; and pictures of anything but a cornea. Asked: a result or one line of refusal, each within 30 s,
-and no parameters where there is no cornea. The films are short, every twelfth frame, so that thousands of them can be read.
+and no parameters where there is no cornea. The films are short, every twelfth frame, so that thousands can be read.
 """
 
 from __future__ import annotations
