@@ -41,12 +41,12 @@ def test_a_whole_film_is_believed():
 
 
 def test_an_event_without_frames_is_left_blank_and_the_rest_kept():
-    keep = (TIMES_MS < 15.0) | (TIMES_MS > 18.4)
+    keep = np.abs(TIMES_MS - RESPONSE.hc_time_ms) > 2.2
     response, notes = told(seen(keep))
     assert response.deformation_amplitude_mm is None and response.hc_radius_mm is None and response.hc_time_ms is None
     assert response.a1_time_ms == pytest.approx(RESPONSE.a1_time_ms, abs=0.02)
     assert response.a2_time_ms == pytest.approx(RESPONSE.a2_time_ms, abs=0.02)
-    assert any("no frames from 14.8" in note for note in notes)
+    assert any("no frames from" in note for note in notes)
     response, _ = told(seen((TIMES_MS < 6.5) | (TIMES_MS > 9.5)))
     assert response.a1_time_ms is None and response.deformation_amplitude_mm == pytest.approx(
         RESPONSE.deformation_amplitude_mm, abs=2e-3
@@ -148,6 +148,6 @@ def test_a_band_without_the_thickness_of_a_cornea_is_refused(tmp_path, thick_px)
 @pytest.mark.parametrize("turned", [lambda f: f[:, ::-1], lambda f: f[:, ::-1, ::-1], lambda f: f.transpose(0, 2, 1)])
 def test_an_eye_upside_down_or_on_its_side_is_refused(tmp_path, turned):
     for k, frame in enumerate(turned(made_up.draw(EYE, made_up.Look(), 540.0, 1, every=6))):
-        Image.fromarray(frame).save(tmp_path / f"{6 * k:03d}.png")
+        Image.fromarray(frame).save(tmp_path / f"{TIMES_MS[6 * k]:.2f}ms.png")
     with pytest.raises(FilmError, match="no cornea|shape of the instrument"):
         analyze(tmp_path, write=False)

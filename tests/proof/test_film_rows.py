@@ -77,4 +77,4 @@ def test_differences_and_the_worst_film():
 def test_every_row_of_the_frame_holds():
     rows, figures = optics.measure(lambda text: None)
     assert [row.name for row in rows if row.holds is False] == [] and len(figures) == 1
-    assert load_scene().cornea.thickness_mm == 0.55 and set(PARTS) == {"optics", "reading", "damaged", "speed"}
+    assert load_scene().cornea.thickness_mm == 0.55 and set(PARTS) >= {"optics", "reading", "damaged", "speed"}
