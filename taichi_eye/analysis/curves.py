@@ -28,6 +28,7 @@ MOVED_MM = 0.05
 FRAMES_MIN = 8
 FOLLOWING_MIN = 0.65  # share of the frames that follow from their neighbours
 FOUND_MIN = 0.4  # share of the columns with an edge, for a frame to count
+COVERED_MAX_MM = 1.3  # of an edge that a frame may lack and still be bridged
 BRIDGE_MM = 0.45  # seen on either side of a gap that it is bridged from, at least
 CENTRAL_MM = 0.6  # half width of the zone of the central thickness
 
@@ -104,9 +105,16 @@ def curves_from_edges(edges: Edges, time_ms: np.ndarray, instrument: Instrument)
         notes.append(f"{(~good).sum()} frames without a corneal section left out")
     time = np.asarray(time_ms, float)[good]
     x_px = np.arange(width) * instrument.pixel_x_mm
-    height, hidden_mm = (
+    height, hidden_mm, covered_mm = (
         np.stack(part) for part in zip(*(_bridged(x_px, -row * instrument.pixel_y_mm) for row in edges.anterior[good]))
     )
+    open_enough = covered_mm <= COVERED_MAX_MM
+    if open_enough.sum() < FRAMES_MIN:
+        raise FilmError(f"too much of the cornea's edge is covered in {(~open_enough).sum()} of {len(good)} frames")
+    if not open_enough.all():
+        notes.append(f"{(~open_enough).sum()} frames left out: more than {COVERED_MAX_MM:g} mm of the edge is masked")
+        time, height, hidden_mm = time[open_enough], height[open_enough], hidden_mm[open_enough]
+        good[good] = open_enough
     steady = following(time, height)
     if steady.mean() < FOLLOWING_MIN or steady.sum() < FRAMES_MIN:
         raise FilmError(
@@ -275,13 +283,13 @@ def _tangent(x: np.ndarray, base: np.ndarray, centre: float) -> tuple[float, flo
     return float(fit[1]), float(fit[0])
 
 
-def _bridged(x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, float]:
-    """A curve with each of its inner gaps bridged by the least-squares quartic through as much on either side, and the
-    width of the widest."""
+def _bridged(x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """A curve with each of its inner gaps bridged by the least-squares quartic through as much on either side, the
+    width of the widest gap, and of the widest within the picture (height below 0), not cut off by its top."""
     good = np.isfinite(z)
     if good.all() or good.sum() < 20:
-        return z, 0.0
-    seen, out, widest = np.flatnonzero(good), z.copy(), 0.0
+        return z, 0.0, 0.0
+    seen, out, widest, covered = np.flatnonzero(good), z.copy(), 0.0, 0.0
     for before, after in zip(seen[:-1], seen[1:]):
         if after == before + 1:
             continue
@@ -292,4 +300,6 @@ def _bridged(x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, float]:
         fit = np.polynomial.polynomial.polyfit((x[near] - middle) / reach, z[near], 4)
         gap = slice(before + 1, after)
         out[gap] = np.polynomial.polynomial.polyval((x[gap] - middle) / reach, fit)
-    return out, widest
+        if out[gap].mean() < 0.0:
+            covered = max(covered, width)
+    return out, widest, covered

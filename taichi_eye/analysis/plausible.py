@@ -102,7 +102,8 @@ def believed(response: Response, curves: Curves, history: Histories, timed_by: s
             doubt((*FROM_REST, "central_thickness_um"), "the top of the cornea at rest is not in the picture")
     _doubt_events(response, curves, time, doubt)
     a1, hc, a2 = response.a1_time_ms, response.hc_time_ms, response.a2_time_ms
-    if None not in (a1, a2) and timed_by != TIMED[2] and a2 - hc > BACKWARDS * (hc - a1):
+    sure = None not in (a1, a2) and not doubts.keys() & {"a1_time_ms", "hc_time_ms", "a2_time_ms"}
+    if sure and timed_by != TIMED[2] and a2 - hc > BACKWARDS * (hc - a1):
         doubt((*FROM_REST, *CLOCK, *SPEED), "the dent forms faster than it goes, as in a film that runs backwards")
     by_reason: dict[str, list[str]] = {}
     for name, reason in doubts.items():
@@ -113,7 +114,7 @@ def believed(response: Response, curves: Curves, history: Histories, timed_by: s
 
 def _doubt_events(response: Response, curves: Curves, time: np.ndarray, doubt) -> None:
     of = {name: [f.name for f in fields(Response) if f.name.startswith(f"{name}_")] for name in ("a1", "a2", "hc")}
-    of["hc"] += ["deformation_amplitude_mm", "peak_distance_mm", *RATES]
+    of["hc"] += ["deformation_amplitude_mm", "peak_distance_mm", "da_ratio_1mm", "da_ratio_2mm", *RATES]
     of["a1"] += ["sp_a1_mmhg_mm", *RATES]
     of["a2"] += RATES
     for name, group in of.items():
@@ -128,7 +129,7 @@ def _doubt_events(response: Response, curves: Curves, time: np.ndarray, doubt) -
     hc = response.hc_time_ms
     if hc > time[-1] - END_MS or hc < time[0] + END_MS:
         doubt(
-            [*of["hc"], "hc_time_ms", "da_ratio_1mm", "da_ratio_2mm"],
+            of["hc"],
             "the film ends, or begins, before the dent is deepest",
         )
 

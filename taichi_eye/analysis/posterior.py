@@ -206,8 +206,7 @@ def _least(misfit: np.ndarray, candidates: np.ndarray) -> np.ndarray:
     best = np.clip(best, 1, len(candidates) - 2)
     below, here, above = (np.take_along_axis(misfit, (best + k)[None], axis=0)[0] for k in (-1, 0, 1))
     inside = np.isfinite(below) & np.isfinite(above) & ~at_end
-    bend = np.where(inside, below - 2.0 * here + above, np.inf)
-    shift = np.where(
-        inside & (bend > 0), 0.5 * (np.where(inside, below, 0.0) - np.where(inside, above, 0.0)) / bend, 0.0
-    )
+    below, here, above = (np.where(inside, value, 0.0) for value in (below, here, above))
+    bend = below - 2.0 * here + above
+    shift = 0.5 * (below - above) / np.where(bend > 0.0, bend, np.inf)
     return np.where(inside, candidates[best] + (candidates[1] - candidates[0]) * np.clip(shift, -1, 1), np.nan)

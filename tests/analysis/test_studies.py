@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from taichi_eye.analysis import Instrument, curves_from_edges, find_edges, respond
+from taichi_eye.analysis import Instrument, curves_from_edges, find_edges, histories, respond
+from taichi_eye.analysis.plausible import believed
 from taichi_eye.proof.films import back_edges, made_up, mutations, obstacles
 from taichi_eye.proof.films.eyes import EYES, TIMES_MS, truth
 
@@ -24,9 +25,9 @@ def test_obstacles_drawn_at_random():
 
 
 def test_mutated_inputs():
-    rows, _ = mutations.measure(lambda text: None, inputs=60, seed=4)
+    rows, _ = mutations.measure(lambda text: None, inputs=40, seed=4)
     assert holds(rows) == []
-    assert 0 < rows[-1].value < 60
+    assert 0 < rows[-1].value < 40
 
 
 @pytest.mark.parametrize("back_sigma_px, seam", [(0.8, 0.0), (1.5, 4.0), (1.5, -6.0), (3.5, 4.0)])
@@ -52,13 +53,14 @@ def test_the_edge_does_not_climb_a_lash(bars):
     frames = made_up.draw(eye, obstacles.LOOK, 540.0, 3, every=2)
     for start, stop, width_px, level, drift in bars:
         made_up.lash(frames, start, stop, width_px, level, drift)
-    edges = find_edges(frames)
-    curves = curves_from_edges(edges, TIMES_MS[::2], Instrument())
-    read, true = respond(curves), respond(truth(eye, eye.scene()))
-    assert read.deformation_amplitude_mm == pytest.approx(true.deformation_amplitude_mm, abs=0.02)
-    for name in ("a1_time_ms", "a2_time_ms"):
-        assert getattr(read, name) == pytest.approx(getattr(true, name), abs=0.25), name
-    assert np.isnan(edges.anterior).any() == any("masked" in note for note in curves.notes)
+    curves = curves_from_edges(find_edges(frames), TIMES_MS[::2], Instrument())
+    read, notes = believed(respond(curves), curves, histories(curves), "counting")
+    true, said = respond(truth(eye, eye.scene())), [*curves.notes, *notes]
+    for name, limit in (("deformation_amplitude_mm", 0.02), ("a1_time_ms", 0.25), ("a2_time_ms", 0.25)):
+        if getattr(read, name) is None:
+            assert any(name in note for note in said) and any("masked" in note for note in said)
+        else:
+            assert getattr(read, name) == pytest.approx(getattr(true, name), abs=limit), name
 
 
 def test_made_up_films_hold_the_depth_that_a_thickness_shows():
