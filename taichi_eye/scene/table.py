@@ -2,7 +2,7 @@
 
 Whatever a spreadsheet or an instrument exports: commas, semicolons or tabs between the cells, decimal commas where the
 cells are not separated by commas, a `sep=` line, comments after #, UTF-8 or UTF-16, a row of units under the header. A
-column is named by its quantity and unit, "time_ms", "time (ms)" or "Time [us]" alike, and converted to the unit wanted.
+column is named by its quantity and unit, and, where that is allowed, "time (ms)" and "Time [us]" mean time_ms, too.
 Only carriage return and line feed end a line: what else Unicode calls a line break may stand in a comment.
 """
 
@@ -27,7 +27,7 @@ UNITS = {
     "mm": {"mm": 1.0, "um": 1e-3, "\N{MICRO SIGN}m": 1e-3, "\N{GREEK SMALL LETTER MU}m": 1e-3, "m": 1e3},
     "kpa": {"kpa": 1.0, "pa": 1e-3, "mmhg": 0.133322387415},
 }
-_UNIT = re.compile(r"[\s_]*[\[(/]?\s*([^\W\d]+)\s*[\])]?$")
+_UNIT = re.compile(r"(?:[\s_]+|\s*[\[(/]\s*)([^\W\d_]+)\s*[\])]?$")
 
 
 def read_text(path: Path) -> str:
@@ -58,14 +58,15 @@ def read_table(path: Path, wanted: Sequence[str], mended: list[str] | None = Non
     """Columns of a table whose first line (comments after # and a `sep=` line aside) is a header.
 
     wanted: names with the unit at the end, as in "time_ms". Every cell of a wanted column must be a finite number,
-    `time_ms` must increase from row to row, and there must be at least two rows. With a list `mended`, rows out of
-    order are sorted and rows with a blank cell left out, and what was done is appended to it. Wanted columns that the
+    `time_ms` must increase from row to row, and there must be at least two rows. With a list `mended`, columns may
+    be named in other words or units, rows out of order are sorted and rows with a blank cell left out, and what was
+    done is appended to it. Wanted columns that the
     header lacks are left out of the answer unless none is there; other columns are not read. Returns float64 arrays,
     shape [rows]. SceneError names file, line and value.
     """
     header, delimiter, rows = _rows(path, wanted)
-    columns = _columns(path, header, wanted)
-    if rows and _is_units(rows[0][1], columns):
+    columns = _columns(path, header, wanted, exact=mended is None)
+    if mended is not None and rows and _is_units(rows[0][1], columns):
         columns = _with_units(path, rows.pop(0)[1], columns)
     table: dict[str, list[float]] = {name: [] for name in columns}
     blank = 0
@@ -128,7 +129,7 @@ def _quantity(name: str) -> tuple[str, str]:
     name = name.strip().lower()
     match = _UNIT.search(name)
     units = {unit for known in UNITS.values() for unit in known}
-    unit = match[1] if match and match[1] in units and match.start() > 0 and match[0] != match[1] else ""
+    unit = match[1] if match and match[1] in units and match.start() > 0 else ""
     quantity = name[: match.start()] if unit else name
     return re.sub(r"[\s\-]+", "_", quantity).strip("_"), unit
 
@@ -143,11 +144,13 @@ def _wanted(cell: str, wanted: Sequence[str]) -> tuple[str, float] | None:
     return None
 
 
-def _columns(path: Path, header: list[str], wanted: Sequence[str]) -> dict[str, tuple[int, float]]:
+def _columns(path: Path, header: list[str], wanted: Sequence[str], exact: bool) -> dict[str, tuple[int, float]]:
     """Place and factor of each wanted column that the header names."""
     columns: dict[str, tuple[int, float]] = {}
     for at, cell in enumerate(header):
         match = _wanted(cell, wanted)
+        if exact and match and match[0] != cell:
+            continue
         if match and match[0] in columns:
             raise SceneError(f"{path}: the header names {match[0]} more than once")
         if match:
