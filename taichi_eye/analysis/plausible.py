@@ -28,6 +28,8 @@ END_MS = 1.0  # the deepest instant lies so far inside the film
 HIDDEN_EVENT_MM, HIDDEN_REST_MM = 1.3, 3.2  # bridged width of a dented and of a convex curve
 BACKWARDS = 1.25  # the fall takes so many times as long as the rise: no puff is like that
 
+APART_MS, SPEED_MAX_M_S = 1.5, 1.2  # an applanation and the deepest instant; an apex at its fastest
+
 CLOCK = "a1_time_ms", "a2_time_ms", "hc_time_ms", "whole_eye_movement_time_ms", "sp_a1_mmhg_mm"
 SPEED = "a1_velocity_m_s", "a2_velocity_m_s"
 RATES = "max_inverse_radius_per_mm", "integrated_inverse_radius_per_mm"
@@ -105,6 +107,10 @@ def believed(response: Response, curves: Curves, history: Histories, timed_by: s
     sure = None not in (a1, a2) and not doubts.keys() & {"a1_time_ms", "hc_time_ms", "a2_time_ms"}
     if sure and timed_by != TIMED[2] and a2 - hc > BACKWARDS * (hc - a1):
         doubt((*FROM_REST, *CLOCK, *SPEED), "the dent forms faster than it goes, as in a film that runs backwards")
+    speeds = [abs(v) for v in (response.a1_velocity_m_s, response.a2_velocity_m_s) if v is not None]
+    if any(abs(at - hc) < APART_MS for at in (a1, a2) if at is not None) or max(speeds, default=0.0) > SPEED_MAX_M_S:
+        every = [f.name for f in fields(Response) if f.name not in ("central_thickness_um", "biop_mmhg")]
+        doubt(every, "the edge jumps where no cornea does: frames of it are damaged or missing")
     by_reason: dict[str, list[str]] = {}
     for name, reason in doubts.items():
         by_reason.setdefault(reason, []).append(name)

@@ -151,3 +151,13 @@ def test_an_eye_upside_down_or_on_its_side_is_refused(tmp_path, turned):
         Image.fromarray(frame).save(tmp_path / f"{TIMES_MS[6 * k]:.2f}ms.png")
     with pytest.raises(FilmError, match="no cornea|shape of the instrument"):
         analyze(tmp_path, write=False)
+
+
+def test_a_history_that_jumps_has_no_parameters():
+    curves = seen()
+    late = TIMES_MS > RESPONSE.hc_time_ms + 0.3
+    height = np.where(late[:, None], curves.height_mm[0], curves.height_mm)
+    response, notes = told(Curves(**{**vars(curves), "height_mm": height}))
+    assert response.deformation_amplitude_mm is None and response.a2_time_ms is None
+    assert response.central_thickness_um == pytest.approx(550.0)
+    assert any("jumps" in note for note in notes)

@@ -285,3 +285,20 @@ def test_size_and_number_are_refused_from_headers(tmp_path, monkeypatch):
     monkeypatch.setattr(decode, "FRAMES_MAX", 8)
     with pytest.raises(FilmError, match="at most 8"):
         read_film(folder)
+
+
+@pytest.mark.parametrize("angle", [180, 90])
+def test_a_films_own_orientation_is_honoured(tmp_path, angle):
+    import subprocess
+
+    import imageio_ffmpeg
+
+    frames = noisy()
+    with FilmWriter(tmp_path / "stored.mp4", 25) as film:
+        for frame in frames:
+            film.write(np.ascontiguousarray(np.rot90(frame, -angle // 90)), 0.0)
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-display_rotation", str(angle)]
+    subprocess.run([*command, "-i", tmp_path / "stored.mp4", "-c", "copy", tmp_path / "turned.mp4"], check=True)
+    film = read_film(tmp_path / "turned.mp4")
+    assert film.frames.shape == frames.shape
+    assert first_columns(film.frames) == pytest.approx(10 * np.arange(COUNT), abs=1)
