@@ -27,7 +27,7 @@ from PIL import Image, ImageOps
 from taichi_eye.errors import FilmError
 
 IMAGES = ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"
-FRAMES_MIN, FRAMES_MAX = 8, 2000
+FRAMES_MIN, FRAMES_MAX = 8, 1000
 PIXELS_MAX = 4_000_000  # of a frame
 ALL_PIXELS_MAX = 1_500_000_000  # of a film, as decoded
 DECODE_SECONDS = 25.0

@@ -11,6 +11,7 @@ import numpy as np
 
 STRAY_MM = 0.06  # upper quartile over the columns, from what the neighbours foretell
 SPEEDING_MM_MS2 = 0.5  # acceleration of a surface that neighbours leave room for
+KEPT_MIN = 0.5  # share of the frames; fewer are no film, and not looked at further
 EVERY = 8  # columns looked at
 FOUND_MIN = 0.3  # share of the columns that two curves must share
 PAIRS = (-1, 1), (-2, 2), (-2, -1), (1, 2)
@@ -20,7 +21,7 @@ def following(time_ms: np.ndarray, height_mm: np.ndarray) -> np.ndarray:
     """Which frames [frames] follow from their neighbours, bool; heights [frames, columns] may hold NaN."""
     kept = np.arange(len(time_ms))
     part = height_mm[:, ::EVERY]
-    while len(kept) > 5:
+    while len(kept) > max(5, KEPT_MIN * len(time_ms)):
         stray = _strays(time_ms[kept], part[kept])
         worst = int(np.argmax(stray))
         if not stray[worst] > STRAY_MM:

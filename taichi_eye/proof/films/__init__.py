@@ -1,6 +1,8 @@
 """`taichi-eye films`: the renderer held against the instrument's frames, and the analysis against the eyes it reads.
 
 A part is a module of this room with `measure(stage)`, as in `taichi_eye.bench`: rows of figures beside what is asked.
+`optics`, `reading`, `damaged` and `speed` take four minutes together; the random studies `back_edges`, `obstacles` and
+`mutations` read hundreds of films each and take longer. Their `measure` takes the number of films and a seed, too.
 """
 
 from taichi_eye.bench import bench
