@@ -147,7 +147,7 @@ def test_a_band_without_the_thickness_of_a_cornea_is_refused(tmp_path, thick_px)
 
 @pytest.mark.parametrize("turned", [lambda f: f[:, ::-1], lambda f: f[:, ::-1, ::-1], lambda f: f.transpose(0, 2, 1)])
 def test_an_eye_upside_down_or_on_its_side_is_refused(tmp_path, turned):
-    for k, frame in enumerate(turned(made_up.draw(EYE, made_up.Look(), 540.0, 1, every=6))):
+    for k, frame in enumerate(turned(made_up.draw(EYE, made_up.Look(), 540.0, 1, which=slice(None, None, 6)))):
         Image.fromarray(frame).save(tmp_path / f"{TIMES_MS[6 * k]:.2f}ms.png")
     with pytest.raises(FilmError, match="no cornea|shape of the instrument"):
         analyze(tmp_path, write=False)

@@ -33,7 +33,7 @@ def test_mutated_inputs():
 @pytest.mark.parametrize("back_sigma_px, seam", [(0.8, 0.0), (1.5, 4.0), (1.5, -6.0), (3.5, 4.0)])
 def test_a_sharp_back_or_a_seam_before_it_does_not_thin_the_cornea(back_sigma_px, seam):
     look = made_up.Look(back_sigma_px=back_sigma_px, seam=seam, noise=4.0)
-    frames = made_up.draw(EYES[0], look, 535.0, 7, every=6)
+    frames = made_up.draw(EYES[0], look, 535.0, 7, which=slice(None, None, 6))
     curves = curves_from_edges(find_edges(frames), TIMES_MS[::6], Instrument())
     assert respond(curves).central_thickness_um == pytest.approx(535.0, abs=15.0)
 
@@ -50,7 +50,7 @@ def test_a_sharp_back_or_a_seam_before_it_does_not_thin_the_cornea(back_sigma_px
 )
 def test_the_edge_does_not_climb_a_lash(bars):
     eye = EYES[0]
-    frames = made_up.draw(eye, obstacles.LOOK, 540.0, 3, every=2)
+    frames = made_up.draw(eye, obstacles.LOOK, 540.0, 3, which=slice(None, None, 2))
     for start, stop, width_px, level, drift in bars:
         made_up.lash(frames, start, stop, width_px, level, drift)
     curves = curves_from_edges(find_edges(frames), TIMES_MS[::2], Instrument())

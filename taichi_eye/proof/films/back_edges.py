@@ -18,7 +18,8 @@ from taichi_eye.proof.films.eyes import EYES, INTERVAL_MS, TIMES_MS
 from taichi_eye.proof.films.made_up import Look, draw
 
 FILMS, SEED = 300, 13
-EVERY = 6  # frames
+# the frames at rest that the thickness is read from, and the motion in steps
+WHICH = np.concatenate([np.arange(13), np.arange(18, 139, 6)])
 EYE_NUMBERS = 0, 1, 3, 4, 5, 6
 WITHIN_UM, WITHIN_SHARE, SILENT_UM = 15.0, 95.0, 40.0
 
@@ -43,9 +44,9 @@ def drawn(random: np.random.Generator) -> tuple[Look, float, int]:
 
 def error_um(look: Look, thickness_um: float, number: int, seed: int) -> tuple[float, bool]:
     """Thickness read less true [um], NaN where none is given; and whether the film says that it is unusual."""
-    frames = draw(EYES[number], look, thickness_um, seed, EVERY)
+    frames = draw(EYES[number], look, thickness_um, seed, WHICH)
     try:
-        curves = curves_from_edges(find_edges(frames), TIMES_MS[::EVERY], Instrument())
+        curves = curves_from_edges(find_edges(frames), TIMES_MS[WHICH], Instrument())
     except FilmError:
         return float("nan"), True
     response = respond(curves, INTERVAL_MS)

@@ -52,10 +52,10 @@ def apparent_depth_px(x_mm: np.ndarray, height_mm: np.ndarray, thickness_um: flo
     return depth / camera.pixel_y_mm
 
 
-def draw(eye: Eye, look: Look, thickness_um: float, seed: int, every: int = 1, axis_px: float = 288.0) -> np.ndarray:
-    """Frames of the eye at TIMES_MS[::every]."""
+def draw(eye: Eye, look: Look, thickness_um: float, seed: int, which=slice(None), axis_px: float = 288.0) -> np.ndarray:
+    """Frames of the eye at TIMES_MS[which]."""
     camera, scene = Instrument(), eye.scene()
-    walls, inner = walls_mm(eye, scene)[::every], grid()
+    walls, inner = walls_mm(eye, scene)[which], grid()
     height = np.stack([np.interp(np.abs(inner), r, z) for r, z in walls.transpose(0, 2, 1)])
     x = (np.arange(COLUMNS) - axis_px) * camera.pixel_x_mm
     row = scene.camera.apex_row_px + np.stack(

@@ -55,7 +55,7 @@ class Source:
     def __init__(self, folder: Path):
         self.film, self.images, self.run = folder / "eye.mp4", folder / "images", folder / "run"
         eye, times = EYES[0], TIMES_MS[::EVERY]
-        frames = draw(eye, Look(), 540.0, 1, EVERY)
+        frames = draw(eye, Look(), 540.0, 1, slice(None, None, EVERY))
         stamped(frames, times)
         for target in (self.images, self.run):
             target.mkdir()

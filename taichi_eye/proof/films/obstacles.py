@@ -17,7 +17,7 @@ from taichi_eye.proof.films import made_up
 from taichi_eye.proof.films.eyes import EYES, INTERVAL_MS, TIMES_MS, truth
 
 FILMS, SEED = 100, 31
-EVERY = 2  # frames
+WHICH = slice(None, None, 2)  # frames
 AMPLITUDE_UM, TIME_MS = 20.0, 0.25
 LOOK = made_up.Look(air=6.5, chamber=7.4, stroma_front=65.0, stroma_back=46.0, line=25.0, back_sigma_px=2.0, noise=4.5)
 WORDS = "mask", "left out", "left blank"
@@ -37,7 +37,7 @@ def harm(frames: np.ndarray, random: np.random.Generator) -> list[str]:
             which = random.choice(len(frames), random.integers(1, 1 + len(frames) // 2), replace=False)
             made_up.speck(frames, random.uniform(5, 60), random.uniform(200, 380), random.uniform(1, 3), which)
         elif kind == "stamp":
-            made_up.stamped(frames, TIMES_MS[::EVERY])
+            made_up.stamped(frames, TIMES_MS[WHICH])
         else:
             made_up.shadow(frames, random.uniform(60, 516), random.uniform(10, 80), random.uniform(0.2, 0.8))
     return list(kinds)
@@ -46,11 +46,11 @@ def harm(frames: np.ndarray, random: np.random.Generator) -> list[str]:
 def errors(number: int, seed: int) -> tuple[float, float, bool]:
     """Errors of the amplitude [um] and of A1 and A2 [ms], NaN where blank; whether the film says that it is harmed."""
     random, eye = np.random.default_rng(seed), EYES[number]
-    frames = made_up.draw(eye, LOOK, 540.0, seed, EVERY)
+    frames = made_up.draw(eye, LOOK, 540.0, seed, WHICH)
     harm(frames, random)
     true = respond(truth(eye, eye.scene()), INTERVAL_MS)
     try:
-        curves = curves_from_edges(find_edges(frames), TIMES_MS[::EVERY], Instrument())
+        curves = curves_from_edges(find_edges(frames), TIMES_MS[WHICH], Instrument())
     except FilmError:
         return float("nan"), float("nan"), True
     read, notes = believed(respond(curves, INTERVAL_MS), curves, histories(curves), "counting")
