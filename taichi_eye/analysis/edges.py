@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
-from scipy.ndimage import binary_dilation, correlate1d, gaussian_filter1d, median_filter
+from scipy.ndimage import binary_dilation, binary_opening, correlate1d, gaussian_filter1d, median_filter
 
 from taichi_eye.analysis.posterior import FROM_PX, posterior_depth
 
@@ -40,6 +40,7 @@ CURVE_EVERY = 4  # columns
 CURVE_STAGES = (4, 22.0), (6, 10.0), (8, 6.0), (10, 4.0), (12, 3.5)  # degree; rows from it that count no more
 FOREIGN_LIGHT = 1.7  # of the anterior line's usual brightness
 FOREIGN_AIR = 0.2  # of that brightness, over the column's usual air
+LASH_PX = 33  # columns masked together that are more than a speck
 FOREIGN_MARGIN_PX = 17  # columns masked about what is foreign
 GROUP_PX = 12  # columns of a posterior fit
 
@@ -68,7 +69,12 @@ def find_edges(frames: np.ndarray) -> Edges:
     anterior[foreign] = np.nan
     groups = frames.shape[2] // GROUP_PX
     posterior = surface + posterior_depth(offsets()[offsets() >= FROM_PX], level)
-    hidden = foreign[:, : groups * GROUP_PX].reshape(len(frames), groups, GROUP_PX).any(axis=2)
+    # a speck on the line hides nothing of what lies behind it
+    hidden = (
+        binary_opening(foreign, np.ones((1, LASH_PX)))[:, : groups * GROUP_PX]
+        .reshape(len(frames), groups, GROUP_PX)
+        .any(axis=2)
+    )
     posterior = np.where(hidden, np.nan, posterior)
     return Edges(anterior, posterior, (np.arange(groups) + 0.5) * GROUP_PX - 0.5, contrast)
 
