@@ -33,7 +33,7 @@ STAYS_PX = 2.5  # a fall is one that stays below
 STEEP_PX, STEEP_SHARE = 5.0, 0.5  # within so far on either side it falls by that share
 FADE_MAX, FOOT_MAX = 0.9, 3.0
 ACROSS_GROUPS = 3  # groups whose misfits are averaged
-ALONG_FRAMES = 0.25, 0.5, 0.25  # weights of a frame's misfit and its neighbours': depth changes little between frames
+ALONG_FRAMES = 0.11, 0.22, 0.34, 0.22, 0.11  # weights of a frame's misfit and its neighbours': depth changes slowly
 STRAY_PX = 3.0  # from the median of the neighbouring frames and groups
 OUTLIER_PX = 2.0
 
@@ -108,7 +108,9 @@ def _candidates(centre: np.ndarray) -> np.ndarray:
 
 def _blur(depth: np.ndarray, level: np.ndarray, centre: np.ndarray) -> float:
     """The blur that leaves least of the film when every frame and group has its own edge."""
-    some = np.unique(np.linspace(0, len(level) - 1, BLUR_FRAMES).round().astype(int))
+    # of a film's first and last frames, where the cornea is at rest and its two edges run alike
+    ends = np.arange(BLUR_FRAMES // 2)
+    some = np.unique(np.clip(np.concatenate([ends, len(level) - 1 - ends]), 0, len(level) - 1))
     # where the cornea lies level: along the normal a slanted edge is as sharp, down a column it is not
     level_groups = slice(3 * len(centre) // 8, len(centre) - 3 * len(centre) // 8)
     part = level[some][:, :, level_groups]
