@@ -5,6 +5,7 @@
     result = taichi_eye.run(scene, out="renders/iop20")
     result.traces["apex_displacement_mm"].max()
 
+`resume` goes on with a run that was cut off.
 `Simulation` is the coupled solver without film and files, `run_batch` the same for many scenes at once, `simulation_of`
 the rung of the ladder that a scene's fidelity asks for.
 """
@@ -21,6 +22,7 @@ __all__ = [
     "dump_scene",
     "init",
     "load_scene",
+    "resume",
     "run",
     "run_batch",
     "simulation_of",
@@ -46,7 +48,7 @@ def __getattr__(name):
         from taichi_eye.solver.batch import run_batch
 
         return run_batch
-    if name in ("run", "RunResult"):
+    if name in ("run", "resume", "RunResult"):
         from taichi_eye import pipeline
 
         return getattr(pipeline, name)

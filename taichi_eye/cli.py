@@ -2,16 +2,19 @@
 `clinic`, `claims`, `films`, `choices`, `bench`.
 
 Exit status: 0 done; 1 the run left its validity and was stopped (what was computed so far is in the run folder), or a
-row of `verify`, `films`, `choices` or `bench` does not hold; 2 bad input, nothing written; 130 interrupted.
+row of `verify`, `films`, `choices` or `bench` does not hold, or a file or standard output could not be
+written; 2 bad input, nothing
+written; 130 interrupted, 143 ended by SIGTERM, 129 by SIGHUP.
 """
 
 import argparse
 import os
+import signal
 import sys
 from pathlib import Path
 
-from taichi_eye import backend
-from taichi_eye.errors import FilmError, RunStopped, SceneError
+from taichi_eye import backend, console
+from taichi_eye.errors import FilmError, OutputError, RunStopped, SceneError
 
 
 def parser() -> argparse.ArgumentParser:
@@ -27,12 +30,17 @@ def parser() -> argparse.ArgumentParser:
     _take_scene(run)
     run.add_argument("--out", metavar="DIR", help="run folder, new or empty (default: a new one under renders/)")
     run.add_argument(
+        "--resume",
+        metavar="DIR",
+        help="go on with the run in this folder, which was cut off; only --threads and --quiet may stand with it",
+    )
+    run.add_argument(
         "--compare",
         metavar="CSV",
         help="measured history to draw into apex.png: columns time_ms and apex_displacement_mm or deflection_mm",
     )
-    run.add_argument("--arch", choices=backend.ARCHES, default="cpu", help="Taichi backend (default: cpu)")
-    run.add_argument("--precision", choices=backend.PRECISIONS, default="f64", help="default: f64")
+    run.add_argument("--arch", choices=backend.ARCHES, help="Taichi backend (default: cpu)")
+    run.add_argument("--precision", choices=backend.PRECISIONS, help="default: f64")
     run.add_argument("--threads", type=_threads, metavar="N", help="CPU threads (default: all)")
     run.add_argument("--quiet", action="store_true", help="no progress bar")
     run.set_defaults(do=_run)
@@ -167,30 +175,59 @@ def _threads(text: str) -> int:
     return int(text)
 
 
+@console.steady
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     given = parser().parse_args(arguments)
     try:
+        backend.refuse_homeless()
         return given.do(given)
     except (SceneError, FilmError, backend.BackendError) as error:
         print(f"taichi-eye: {error}", file=sys.stderr)
         return 2
     except RunStopped as error:
-        print(f"taichi-eye: {error}\nWhat was computed so far is in the run folder.", file=sys.stderr)
+        where = f"\nWhat was computed so far is in {error.folder}." if error.folder is not None else ""
+        print(f"taichi-eye: {error}{where}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        print("taichi-eye: interrupted; what was computed so far is in the run folder.", file=sys.stderr)
-        return 130
+    except OutputError as error:
+        print(f"taichi-eye: {error}", file=sys.stderr)
+        return 1
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"taichi-eye: {where}{error.strerror or error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt as error:
+        folder = getattr(error, "folder", None)
+        where = (
+            f"; what was computed so far is in {folder}, go on with: taichi-eye run --resume {folder}" if folder else ""
+        )
+        print(f"taichi-eye: {error if str(error) else 'interrupted'}{where}", file=sys.stderr)
+        return 128 + getattr(error, "number", signal.SIGINT)
 
 
 def _run(given) -> int:
-    from taichi_eye.pipeline import run
-    from taichi_eye.scene import load_scene
+    if given.resume is not None:
+        others = {"a scene": given.scene, "--set": given.overrides, "--out": given.out, "--compare": given.compare}
+        others |= {"--arch": given.arch, "--precision": given.precision}
+        if beside := [name for name, value in others.items() if value]:
+            raise SceneError(f"--resume {given.resume}: goes on as the run began, so leave out {', '.join(beside)}")
+        # solver and film are slow to load, and a bad command is refused without them
+        from taichi_eye.pipeline import resume
 
-    scene = load_scene(given.scene, given.overrides)
-    backend.init(given.arch, given.precision, given.threads)
-    name = Path(given.scene).stem if given.scene else "eye"
-    result = run(scene, given.out, name, given.compare, progress=not given.quiet)
+        result = resume(given.resume, not given.quiet, given.threads)
+        if result.finished_before:
+            print(f"{result.folder}: this run was finished already")
+    else:
+        from taichi_eye.pipeline import run
+        from taichi_eye.scene import load_scene
+
+        scene = load_scene(given.scene, given.overrides)
+        backend.init(given.arch or "cpu", given.precision or "f64", given.threads)
+        name = Path(given.scene).stem if given.scene else "eye"
+        result = run(scene, given.out, name, given.compare, progress=not given.quiet)
+    if result.summary["status"] != "complete":
+        print(f"{result.folder}: is finished: {result.summary['reason']}")
+        return 1
     for warning in result.summary["warnings"]:
         print(f"warning: {warning}")
     apex = result.summary["apex_displacement_mm"]

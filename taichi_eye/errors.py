@@ -3,6 +3,8 @@ be read."""
 
 from __future__ import annotations
 
+import signal
+
 
 class SceneError(Exception):
     """Bad input, refused before anything is written.
@@ -25,7 +27,11 @@ class RunStopped(Exception):
         Simulated time of the failure [ms].
     advice : str
         What to change in the scene.
+    folder : Path or None
+        The run folder that holds what was computed up to there, where there is one.
     """
+
+    folder = None
 
     def __init__(self, what: str, where: str, time_ms: float, advice: str):
         super().__init__(what, where, time_ms, advice)
@@ -33,6 +39,23 @@ class RunStopped(Exception):
 
     def __str__(self) -> str:
         return f"stopped at {self.time_ms:.4f} ms: {self.what} ({self.where}). {self.advice}"
+
+
+class Interrupted(KeyboardInterrupt):
+    """A run ended from outside: number, of the signal; folder, what it left and can be resumed from, or None."""
+
+    folder = None
+
+    def __init__(self, number: int):
+        super().__init__(number)
+        self.number = int(number)
+
+    def __str__(self) -> str:
+        return "interrupted" if self.number == signal.SIGINT else f"ended by {signal.Signals(self.number).name}"
+
+
+class OutputError(Exception):
+    """What was computed could not be written: the message names the file, the reason and what is kept."""
 
 
 class FilmError(Exception):

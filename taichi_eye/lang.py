@@ -3,18 +3,22 @@
 Taichi is the default. Where Python has no wheel of it (3.14 on), quadrants is installed instead, a maintained twin
 that runs the same kernels; the environment variable TAICHI_EYE_LANG ("taichi" or "quadrants")
 asks for one of the two. NAME says which one it is.
+
+Both abort on import where the environment names no folder for compiled kernels, and at the end of the process where
+that folder cannot be written. So a folder is chosen before the import (see `taichi_eye.caches`), CACHE, and named to
+`ti.init`; CACHE_NOTE is what the user is told where it is not the usual one.
 """
 
 import importlib.util
 import os
+import sys
+from pathlib import Path
+
+from taichi_eye import caches
 
 NAMES = ("taichi", "quadrants")
-
-# a banner and notes are printed on import unless told not to beforehand
-for variable in ("ENABLE_TAICHI_HEADER_PRINT", "ENABLE_QUADRANTS_HEADER_PRINT"):
-    os.environ.setdefault(variable, "0")
-for variable in ("TI_LOG_LEVEL", "QD_LOG_LEVEL"):
-    os.environ.setdefault(variable, "error")
+PREFIXES = {"taichi": "TI", "quadrants": "QD"}  # of their environment variables
+CACHE_FOLDERS = {"taichi": "ticache", "quadrants": "qdcache"}
 
 
 def _chosen() -> str:
@@ -31,11 +35,58 @@ def _chosen() -> str:
     raise ImportError(f"no kernel language is installed; one of {', '.join(NAMES)} is needed")
 
 
+def _cache(name: str) -> tuple[Path | None, str]:
+    """The folder for compiled kernels (None: there is none to be had), and what to tell the user of it."""
+    named = os.environ.get(f"{PREFIXES[name]}_OFFLINE_CACHE_FILE_PATH")
+    usual = caches.kept_at()
+    if not os.path.isabs(os.environ.get("XDG_CACHE_HOME", os.environ.get("HOME", ""))):
+        # the language asks for one of the two on import, and takes a relative path at its word
+        os.environ["XDG_CACHE_HOME"] = str(usual or os.devnull)
+    folder = Path(named) if named else usual and usual / name / CACHE_FOLDERS[name]
+    if folder is not None and caches.writable(folder):
+        return folder, ""
+    spare = caches.temporary()
+    told = f"compiled kernels cannot be kept in {folder}" if folder else "no home folder for compiled kernels"
+    if spare is None:
+        return None, f"{told}, nor in a temporary folder; name a folder that can be written with XDG_CACHE_HOME"
+    if not named:
+        os.environ.setdefault("MPLCONFIGDIR", str(spare / "matplotlib"))  # it would warn that it finds no folder either
+    return spare / name / CACHE_FOLDERS[name], f"{told}; they are kept in {spare}"
+
+
 NAME = _chosen()
+PREFIX = PREFIXES[NAME]
+CACHE_VARIABLE = f"{PREFIX}_OFFLINE_CACHE_FILE_PATH"
+CACHE, CACHE_NOTE = _cache(NAME)
+
+# a banner and notes are printed on import unless told not to beforehand
+os.environ.setdefault(f"ENABLE_{NAME.upper()}_HEADER_PRINT", "0")
+os.environ.setdefault(f"{PREFIX}_LOG_LEVEL", "error")
+# the version is pinned: nobody needs to be asked over the net whether there is a newer one
+os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
+
 if NAME == "taichi":
     import taichi as ti
 else:
     import quadrants as ti
+
+
+def program():
+    """What the last `ti.init` of this process started; None before the first."""
+    runtime = ti.lang.impl.get_runtime()
+    return runtime.prog if NAME == "taichi" else runtime._prog
+
+
+def cache_options() -> dict:
+    """What `ti.init` is to be told about the cache; where it is not the usual one, stderr says so, once."""
+    global CACHE_NOTE
+    if CACHE_NOTE and sys.stderr is not None:
+        print(f"taichi-eye: {CACHE_NOTE}", file=sys.stderr)
+    CACHE_NOTE = ""
+    if os.environ.get(CACHE_VARIABLE) == str(CACHE):
+        return {"offline_cache": True}  # read from there
+    return {"offline_cache": True, "offline_cache_file_path": str(CACHE)}
+
 
 ONE_TASK = 1
 """`for _ in range(ONE_TASK):` at the top of a kernel runs its body once, on one thread, as one task.
@@ -44,4 +95,4 @@ Every loop at a kernel's top level becomes a task of its own, and each task cost
 inside this one do not.
 """
 
-__all__ = ["NAME", "NAMES", "ONE_TASK", "ti"]
+__all__ = ["CACHE", "CACHE_VARIABLE", "NAME", "NAMES", "ONE_TASK", "PREFIX", "cache_options", "program", "ti"]

@@ -63,7 +63,7 @@ def write_overlay(
             for number, text in enumerate((f"{time_ms[k]:.2f} ms", apex, phase)):
                 if text:
                     stamp(image, atlas.mask(text), 8 + 18 * number, 10, (235, 235, 235))
-            film.write(image, float(time_ms[k]))
+            film.write(image)
 
 
 def _draw(image: np.ndarray, at: np.ndarray, row: np.ndarray, colour: tuple[int, int, int]) -> None:

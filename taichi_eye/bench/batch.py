@@ -19,7 +19,8 @@ from taichi_eye import backend
 from taichi_eye.bench.rows import at_least, at_most, figure
 from taichi_eye.scene import load_scene
 from taichi_eye.solver.batch import Batch
-from taichi_eye.solver.simulation import Simulation, cloud_of
+from taichi_eye.solver.case import cloud_of
+from taichi_eye.solver.simulation import Simulation
 
 EYES = 32
 ASKED = 1.8

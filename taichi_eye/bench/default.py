@@ -9,7 +9,8 @@ from taichi_eye import backend
 from taichi_eye.bench.rows import at_most, figure
 from taichi_eye.bench.timing import best_of
 from taichi_eye.scene import load_scene
-from taichi_eye.solver.simulation import Simulation, cloud_of
+from taichi_eye.solver.case import cloud_of
+from taichi_eye.solver.simulation import Simulation
 
 PEAK_MM = 0.959
 ERROR, SECONDS = 1.0, 2.0  # %, s

@@ -9,7 +9,8 @@ from taichi_eye.bench.rows import at_most, figure, skipped
 from taichi_eye.bench.timing import best_of
 from taichi_eye.lang import ti
 from taichi_eye.scene import load_scene
-from taichi_eye.solver.simulation import Simulation, cloud_of
+from taichi_eye.solver.case import cloud_of
+from taichi_eye.solver.simulation import Simulation
 from taichi_eye.solver.timestep import stable_step
 from taichi_eye.units import MM
 
@@ -48,7 +49,7 @@ def measure(stage, spacings_mm=SPACINGS_MM):
 def _step_time(scene, cloud):
     """Seconds per coupled step, and where the apex is after the steps [m]."""
     simulation = Simulation(scene, cloud)
-    dt, _ = stable_step(simulation.survey.take(), scene)
+    dt, _ = stable_step(simulation.survey.take(), simulation.case)
     puff = [float(simulation.puff.peak)] * STEPS
 
     def steps():

@@ -14,7 +14,8 @@ from taichi_eye.bench.rows import at_most, figure
 from taichi_eye.bench.step import steps_of
 from taichi_eye.bench.timing import best_of
 from taichi_eye.scene import load_scene
-from taichi_eye.solver.simulation import Simulation, cloud_of
+from taichi_eye.solver.case import cloud_of
+from taichi_eye.solver.simulation import Simulation
 
 SPACINGS_MM = 0.05, 0.025, 0.0125, 0.00775
 RUN_MM = 0.2, 0.1414, 0.1

@@ -6,7 +6,7 @@ from taichi_eye.bench.rows import at_most, figure
 from taichi_eye.bench.timing import best_of
 from taichi_eye.cloud.packing import pack
 from taichi_eye.cloud.quality import measure as quality
-from taichi_eye.eye.section import Section
+from taichi_eye.eye.eye import eye_of
 from taichi_eye.scene import load_scene
 from taichi_eye.units import MM
 
@@ -16,7 +16,7 @@ EXPONENT = 1.15  # near-linear: a Delaunay triangulation is n log n
 
 def measure(stage, spacings_mm=SPACINGS_MM):
     """Time over the spacings, and its exponent in the nodes."""
-    section = Section.from_scene(load_scene(None))
+    section = eye_of(load_scene(None)).section
     rows, nodes, times = [], [], []
     for spacing in spacings_mm:
         stage(f"at {spacing:g} mm")

@@ -91,9 +91,12 @@ def measure(stage, cached_runs: int = 4):
 
 
 def _environment(cache):
+    # loading the language is one of the stages: not at the head of this module
+    from taichi_eye.lang import CACHE_VARIABLE
+
     room = Path(__file__).parents[2]
     path = os.pathsep.join(filter(None, [str(room), os.environ.get("PYTHONPATH")]))
-    return os.environ | {"TI_OFFLINE_CACHE_FILE_PATH": str(cache), "PYTHONPATH": path}
+    return os.environ | {CACHE_VARIABLE: str(cache), "PYTHONPATH": path}
 
 
 def _start(out, cache, whole: bool = False):

@@ -21,7 +21,8 @@ from taichi_eye.bench.timing import best_of
 from taichi_eye.lang import ti
 from taichi_eye.mfpm.neighbours import image_of
 from taichi_eye.scene import load_scene
-from taichi_eye.solver.simulation import Simulation, cloud_of
+from taichi_eye.solver.case import cloud_of
+from taichi_eye.solver.simulation import Simulation
 from taichi_eye.solver.timestep import stable_step
 
 LARGE_MM, SMALL_MM = (0.055, 0.0275), (0.25, 0.2, 0.115)
@@ -81,7 +82,7 @@ class Gathers:
 def steps_of(scene, cloud, count: int):
     """A simulation at rest, and a call that takes `count` coupled steps of it under a rising puff."""
     simulation = Simulation(scene, cloud)
-    dt, _ = stable_step(simulation.survey.take(), scene)
+    dt, _ = stable_step(simulation.survey.take(), simulation.case)
     taken = 0
 
     def advance():

@@ -26,9 +26,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from taichi_eye.scene import Scene
 from taichi_eye.scene.table import read_puff_file
-from taichi_eye.units import KPA, MM, MS
+from taichi_eye.units import KPA, MS
 
 CORVIS_PEAK_S = 16.15 * MS
 CORVIS_RISE = 8.00 * MS, 2.59  # width, power
@@ -37,7 +36,7 @@ CORVIS_FALL = 4.175 * MS, 1.547
 
 @dataclass(frozen=True)
 class Puff:
-    """Pressure of the air puff, in SI; `Puff.from_scene` makes one.
+    """Pressure of the air puff, in SI.
 
     radial_rate: the profile is exp(-radial_rate r^2) [1/m^2]; samples: the user's times [s] and pressures [Pa].
     """
@@ -48,19 +47,6 @@ class Puff:
     spread_b: float
     radial_rate: float
     samples: tuple[np.ndarray, np.ndarray] | None = None
-
-    @classmethod
-    def from_scene(cls, scene: Scene) -> Puff:
-        """The puff that a resolved scene describes; SceneError where its pressure file has gone bad meanwhile."""
-        puff, samples = scene.puff, None
-        if puff.time_course == "file":
-            time_ms, pressure_kpa = read_puff_file(Path(puff.file))
-            samples = time_ms * MS, pressure_kpa * KPA
-        if puff.radial_profile == "paper":
-            rate = puff.spread_a / (scene.cornea.radius_mm * MM) ** 2
-        else:
-            rate = 1.0 / (puff.width_mm * MM) ** 2
-        return cls(puff.time_course, puff.peak_kpa * KPA, puff.duration_ms * MS, puff.spread_b, rate, samples)
 
     def pressure_at_apex(self, t: ArrayLike) -> np.ndarray:
         """Pressure [Pa] over atmosphere at the apex at time t [s]; any shape."""
@@ -76,6 +62,12 @@ class Puff:
     def radial(self, r: ArrayLike) -> np.ndarray:
         """Share of the apex pressure, without unit, on material points of reference radius r [m]; any shape."""
         return np.exp(-self.radial_rate * np.square(np.asarray(r, dtype=float)))
+
+
+def read_puff(file: str | Path) -> tuple[np.ndarray, np.ndarray]:
+    """Times [s] and pressures [Pa] of a user's puff; SceneError on a bad file."""
+    time_ms, pressure_kpa = read_puff_file(Path(file))
+    return time_ms * MS, pressure_kpa * KPA
 
 
 class Puffs:

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_eye.units import MM
-
 
 @dataclass(frozen=True)
 class Section:
@@ -27,17 +25,6 @@ class Section:
     lens_radius: float = 0.0
     lens_height: float = 0.0
     planar = False  # whether the left edge, r = 0, is an edge and no axis
-
-    @classmethod
-    def from_scene(cls, scene) -> "Section":
-        """The section that a resolved scene describes."""
-        return cls(
-            scene.cornea.radius_mm * MM,
-            scene.cornea.limbus_radius_mm * MM,
-            scene.chamber.depth_mm * MM,
-            scene.chamber.lens_radius_mm * MM,
-            scene.chamber.lens_height_mm * MM,
-        )
 
     @property
     def centre_z(self) -> float:
@@ -108,7 +95,7 @@ class Section:
         """Volume of the chamber at rest, in m^3."""
         cap, lens = self.apex_z, self.lens_height
         volume = np.pi * cap**2 * (self.radius - cap / 3.0) - np.pi * self.limbus_radius**2 * self.back_z
-        return volume - np.pi * lens**2 * (self.lens_radius - lens / 3.0)
+        return float(volume - np.pi * lens**2 * (self.lens_radius - lens / 3.0))
 
     def cornea_nodes(self, elements: int):
         """Points of the cornea at equal angles, apex first, limbus last: shape [elements + 1, 2], in metres."""

@@ -1,9 +1,13 @@
 """Live, off-screen film: solver fields to 8-bit images in Taichi kernels, images to a film while the run
 goes on."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from .encoder import EncoderError, FilmWriter, frame_name, write_gif
+from taichi_eye.eye.eye import eye_of
+
+from .encoder import EncoderError, FilmWriter, ffmpeg, frame_name, shrunk, write_gif
 from .particles import Particles
 from .scheimpflug import Scheimpflug
 from .state import FrameState
@@ -17,7 +21,9 @@ __all__ = [
     "Particles",
     "Scheimpflug",
     "Surface",
+    "ffmpeg",
     "frame_name",
+    "shrunk",
     "write_gif",
 ]
 
@@ -31,6 +37,7 @@ class FilmView:
     """
 
     def __init__(self, scene):
+        self.scene = scene
         self.kind = scene.camera.view
         self.surface = Surface(scene)
         self.scheimpflug = Scheimpflug(scene, self.surface)
@@ -39,6 +46,18 @@ class FilmView:
         if self.kind != "scheimpflug":
             stamped = scene.camera.stamp and self.kind == "particles"
             self.particles = Particles(scene, self.surface, stamped)
+
+    @staticmethod
+    def built_in(scene) -> tuple:
+        """What the kernels of a view have built in: it can show other scenes that have the same."""
+        return replace(scene.camera, seed=0, frame_count=1, frame_interval_ms=1.0), eye_of(scene).section
+
+    def setup(self, scene) -> None:
+        """Show another scene, `built_in` as the first."""
+        self.scene, self.slit = scene, None
+        for part in (self.surface, self.scheimpflug, self.particles):
+            if part is not None:
+                part.setup(scene)
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -19,8 +19,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from taichi_eye.backend import real
-from taichi_eye.eye.puff import Puff
-from taichi_eye.eye.section import Section
+from taichi_eye.eye.eye import eye_of
 from taichi_eye.lang import ti
 from taichi_eye.units import KPA, MM, MMHG, MS
 
@@ -61,7 +60,7 @@ class Layout:
     def of(cls, scene) -> "Layout":
         width = 2 * scene.camera.width_px
         unit = width / 1152
-        section = Section.from_scene(scene)
+        section = eye_of(scene).section
         cap, back = section.apex_z / MM, -section.back_z / MM
         panel = 0.68 * width
         above, below = 1.30, 0.12  # mm over the apex for the puff, under the back plane
@@ -88,23 +87,14 @@ class Particles:
         self.layout = at = Layout.of(scene)
         self.height, self.width = at.height, at.width
         self.by_speed = scene.camera.colour_by == "speed"
-        self.limits = colour_limits(scene)
-        self.low, self.span = self.limits[0], self.limits[1] - self.limits[0]
         self.px_per_m = at.scale / MM
         self.axis, self.half, self.limbus_row = at.axis, at.half, at.limbus_row
         self.rim = round(scene.cornea.limbus_radius_mm * at.scale)
-        spacing_px = scene.numerics.spacing_mm * at.scale
-        self.disc = max(0.44 * spacing_px, 0.6)
-        self.reach = max(0.80 * spacing_px, 1.5)
-        self.distance_steps = (DISTANCES - 1.0) / (self.reach + 1.0) ** 2
         self.line = 1.7 * at.unit
         self.curve = 1.1 * at.unit
         self.marker = 4.4 * at.unit
         self.left, self.top, self.right, self.bottom = at.plot
-        self.ranges = plot_ranges(scene)
-        self.peak_kpa = peak_load_kpa(scene)
         self.radii = np.arange(self.surface.count) * self.surface.spacing
-        self.puff_profile = Puff.from_scene(scene).radial(self.radii)
 
         # by columns from the axis outwards, then rows
         self.nearest = ti.field(ti.u32, (self.half, self.height))
@@ -116,6 +106,20 @@ class Particles:
         self.cover = ti.field(ti.f32, COVERS)  # of a disc, by the distance in a nearest-node word
         self.glow = ti.field(ti.f32, self.height + 2)  # of the jet, by rows over the cornea
         self.out, self.over = Strips(self.half), Strips(self.right - self.left + 1)
+        self.big = GlyphAtlas(max(8, round(21 * at.unit)))
+        self.small = GlyphAtlas(max(7, round(13 * at.unit)), bold=True)
+        self.stamped = stamped
+        self.setup(scene)
+
+    def setup(self, scene) -> None:
+        """Take colours, node size, load and axes from another scene, of the same camera and shape of the eye."""
+        at = self.layout
+        self.limits, self.ranges, self.peak_kpa = colour_limits(scene), plot_ranges(scene), peak_load_kpa(scene)
+        self.puff_profile = eye_of(scene).puff.radial(self.radii)
+        spacing_px = scene.numerics.spacing_mm * at.scale
+        disc = max(0.44 * spacing_px, 0.6)
+        self.reach = max(0.80 * spacing_px, 1.5)
+        self.distance_steps = (DISTANCES - 1.0) / (self.reach + 1.0) ** 2
         wall = wall_cover(scene, at)
         ground = background(scene, at, self.limits, self.ranges)
         self.still = (ground + wall[..., None] / 255.0 * (np.array(WALL) - ground) + 0.5).astype(np.uint8)
@@ -123,15 +127,12 @@ class Particles:
         section = np.ascontiguousarray(wall[:, at.axis : at.axis + at.half].T)
         self._load(
             colour_table(scene),
-            np.clip(self.disc + 0.5 - distance, 0.0, 1.0),
+            np.clip(disc + 0.5 - distance, 0.0, 1.0),
             # an even beam, brighter where it stops on the cornea
             0.46 + 0.30 * np.exp(-np.arange(self.height + 2) / (0.25 * at.scale)),
             section,
             floor_rows(section),
         )
-        self.big = GlyphAtlas(max(8, round(21 * at.unit)))
-        self.small = GlyphAtlas(max(7, round(13 * at.unit)), bold=True)
-        self.stamped = stamped
 
     def render(self, state: FrameState, fresh: bool = True, out: np.ndarray | None = None) -> np.ndarray:
         """The frame at `state`, in `out` (contiguous) where that is given; `fresh` says that the surface tables have
@@ -144,7 +145,8 @@ class Particles:
         profile = self.puff_profile
         puff_kpa = state.trace_puff_kpa[-1] if len(state.trace_puff_kpa) else 0.0
         if state.puff_radial is not None and np.max(np.abs(state.puff_radial)) > 0.0:
-            wall_r = state.wall.to_numpy()[: state.wall_count, 0]
+            wall = state.wall if isinstance(state.wall, np.ndarray) else state.wall.to_numpy()
+            wall_r = wall[: state.wall_count, 0]
             profile = np.interp(self.radii, wall_r, state.puff_radial, right=0.0)
             profile /= np.max(np.abs(state.puff_radial))
         curves, head, now = self.curve_columns(state)
@@ -154,6 +156,10 @@ class Particles:
             state.node_count,
             state.pressure,
             state.velocity,
+            self.limits[0],
+            self.limits[1] - self.limits[0],
+            self.reach,
+            self.distance_steps,
             profile.astype(np.float32),
             puff_kpa / self.peak_kpa,
             curves,
@@ -233,6 +239,10 @@ class Particles:
         node_count: ti.i32,
         pressure: ti.template(),
         velocity: ti.template(),
+        low: float,
+        span: float,
+        reach: float,
+        distance_steps: float,
         profile: ti.types.ndarray(),
         puff: ti.f32,
         curves: ti.types.ndarray(),
@@ -243,7 +253,7 @@ class Particles:
                 first, after = self.out.first(turn), self.out.after(turn)
                 for j in range(first, after):
                     self.set_column(j, profile, puff)
-                self.find(nodes, node_count, pressure, velocity, first, after)
+                self.find(nodes, node_count, pressure, velocity, low, span, reach, distance_steps, first, after)
                 for j in range(first, after):
                     self.draw_section(image, j)
         for turn in range(self.over.turns):
@@ -252,12 +262,25 @@ class Particles:
                     self.draw_curves(image, curves, k, now)
 
     @ti.func
-    def find(self, nodes: ti.template(), node_count, pressure: ti.template(), velocity: ti.template(), first, after):
-        """Write the nearest-node words of these columns, all empty before."""
+    def find(
+        self,
+        nodes: ti.template(),
+        node_count,
+        pressure: ti.template(),
+        velocity: ti.template(),
+        low,
+        span,
+        reach,
+        distance_steps,
+        first,
+        after,
+    ):
+        """Write the nearest-node words of these columns, all empty before: nodes as far as `reach` px, their colours
+        over low and span, distances squared in `distance_steps`."""
         for n in range(node_count):
             column = nodes[n][0] * self.px_per_m
-            left = ti.max(ti.cast(ti.ceil(column - self.reach - 0.5), ti.i32), first)
-            right = ti.min(ti.cast(ti.floor(column + self.reach - 0.5), ti.i32) + 1, after)
+            left = ti.max(ti.cast(ti.ceil(column - reach - 0.5), ti.i32), first)
+            right = ti.min(ti.cast(ti.floor(column + reach - 0.5), ti.i32) + 1, after)
             if left < right:
                 row = self.limbus_row - nodes[n][1] * self.px_per_m
                 value = 0.0 * row
@@ -265,16 +288,16 @@ class Particles:
                     value = velocity[n].norm()
                 else:
                     value = pressure[n]
-                share = ti.math.clamp((value - self.low) / self.span, 0.0, 1.0)
+                share = ti.math.clamp((value - low) / span, 0.0, 1.0)
                 shade = ti.cast(ti.math.clamp(ti.cast(share * 255.0 + 0.5, ti.i32), 0, 255), ti.u32)
                 for j in range(left, right):
                     aside = (j + 0.5 - column) ** 2
-                    down = ti.sqrt(ti.max(self.reach**2 - aside, 0.0))
+                    down = ti.sqrt(ti.max(reach * reach - aside, 0.0))
                     top = ti.max(ti.cast(ti.ceil(row - down - 0.5), ti.i32), self.rows[j][0])
                     bottom = ti.min(ti.cast(ti.floor(row + down - 0.5), ti.i32) + 1, self.rows[j][1])
                     for i in range(top, bottom):
                         far = aside + (i + 0.5 - row) ** 2
-                        word = (ti.cast(far * self.distance_steps, ti.u32) << SHADE_BITS) | shade
+                        word = (ti.cast(far * distance_steps, ti.u32) << SHADE_BITS) | shade
                         self.nearest[j, i] = ti.min(self.nearest[j, i], word)
 
     @ti.func
@@ -414,7 +437,7 @@ def peak_load_kpa(scene) -> float:
     """Largest load on the apex within the simulated time [kPa], at least 0.1 so that scales exist with the
     puff off."""
     time = np.linspace(0.0, scene.numerics.duration_ms * MS, 2001)
-    return max(float(np.max(Puff.from_scene(scene).pressure_at_apex(time))) / KPA, 0.1)
+    return max(float(np.max(eye_of(scene).puff.pressure_at_apex(time))) / KPA, 0.1)
 
 
 def background(scene, at: Layout, limits: tuple[float, float], ranges: PlotRanges) -> np.ndarray:
@@ -489,7 +512,7 @@ def wall_cover(scene, at: Layout) -> np.ndarray:
     """Coverage by the rigid back (plane or lens), the cylinder above it and the limbus, shape [height,
     width], uint8."""
     fine = 4
-    section = Section.from_scene(scene)
+    section = eye_of(scene).section
     rim, back = scene.cornea.limbus_radius_mm, section.back_z / MM
 
     def place(r, z):

@@ -71,8 +71,8 @@ class Scheimpflug:
         self.apex_rest = self.surface.apex_rest
         self.plain = camera.optics == "plain"
         self.iris, self.lens = float(camera.iris), float(camera.lens)
-        self.specks, self.seed = camera.specks, camera.seed
-        self.interval_ms = camera.frame_interval_ms
+        self.specks = camera.specks
+        self.setup(scene)
         self.atlas = GlyphAtlas(max(8, round(0.065 * self.height))) if camera.stamp else None
 
         profile, line_stroma = edge_profiles()
@@ -95,6 +95,10 @@ class Scheimpflug:
             quantile,
             np.stack([grey_levels(level, quantile) for level in (AIR, CHAMBER)], axis=-1),
         )
+
+    def setup(self, scene) -> None:
+        """Take seed and frame times from another scene, otherwise of the same camera and shape of the eye."""
+        self.seed, self.interval_ms = scene.camera.seed, scene.camera.frame_interval_ms
 
     def render(self, state: FrameState, fresh: bool = True) -> np.ndarray:
         """The frame at `state`; `fresh` says that the surface tables have yet to be updated for it."""

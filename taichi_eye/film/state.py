@@ -16,7 +16,7 @@ class FrameState:
 
     Attributes:
         time_ms: time since the first frame [ms].
-        wall: anterior surface (r, z) [m], apex first, limbus last, ti.Vector.field(2).
+        wall: anterior surface (r, z) [m], apex first, limbus last, an array [nodes, 2] or ti.Vector.field(2).
         wall_count: wall nodes in use, at least 3.
         nodes: fluid nodes (r, z) [m], ti.Vector.field(2); this and the two below None where only the slit is drawn.
         node_count: fluid nodes in use.
@@ -31,7 +31,7 @@ class FrameState:
     """
 
     time_ms: float
-    wall: ti.MatrixField
+    wall: np.ndarray | ti.MatrixField
     wall_count: int
     nodes: ti.MatrixField | None
     node_count: int

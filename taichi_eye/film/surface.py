@@ -23,8 +23,7 @@ from math import ceil, cos, radians, sin, sqrt
 import numpy as np
 
 from taichi_eye.backend import real
-from taichi_eye.eye.section import Section
-from taichi_eye.eye.thickness import thickness
+from taichi_eye.eye.eye import eye_of
 from taichi_eye.lang import ti
 
 SLOPE_MAX = 4.0  # dz/dr beyond which the table no longer follows an overhang
@@ -61,22 +60,28 @@ class Surface:
         self.flat_ratio = self.cos_angle / self.sin_angle / sqrt(optical * optical - 1.0)
         cap = cornea.limbus_radius_mm / cornea.radius_mm
         self.limbus_slope = max(-cap / sqrt(max(1.0 - cap * cap, 1e-6)), -SLOPE_MAX)
-        self.apex_rest = float(Section.from_scene(scene).apex_z)
+        self.apex_rest = float(eye_of(scene).section.apex_z)
         self.height = ti.field(real(), self.count)
         self.slope = ti.field(real(), self.count)
         self.posterior = ti.field(real(), self.count)
         self.apparent = ti.field(real(), self.columns)
         self.behind = ti.Vector.field(3, real(), (self.columns, RAYS))
         self.thickness = ti.field(real(), self.count)
-        self.thickness.from_numpy(thickness(scene, np.arange(self.count) * self.spacing))
+        self.setup(scene)
 
-    def update(self, wall: ti.MatrixField, wall_count: int) -> None:
+    def setup(self, scene) -> None:
+        """Take the thickness from another scene, of the same camera and shape of the eye."""
+        self.thickness.from_numpy(eye_of(scene).thickness(np.arange(self.count) * self.spacing))
+
+    def update(self, wall: np.ndarray | ti.MatrixField, wall_count: int) -> None:
         """Resample the wall and trace the posterior surface; gathers only, the same bits on any thread
         count."""
-        self._update(wall, wall_count)
+        # an array, whatever it came from: a kernel is compiled for each field that it is given
+        wall = wall if isinstance(wall, np.ndarray) else wall.to_numpy()
+        self._update(np.ascontiguousarray(wall[:wall_count]), wall_count)
 
     @ti.kernel
-    def _update(self, wall: ti.template(), wall_count: ti.i32):
+    def _update(self, wall: ti.types.ndarray(), wall_count: ti.i32):
         for k in range(self.count):
             point = self.resample(wall, wall_count, k * self.spacing)
             self.height[k] = point[0]
@@ -120,9 +125,9 @@ class Surface:
     def tangent(self, wall: ti.template(), i):
         """Unit-speed tangent at an inner node or the apex (mirrored neighbour): the parabola through three
         nodes."""
-        here = wall[i]
-        after = wall[i + 1]
-        before = wall[ti.max(i - 1, 0)]
+        here = node(wall, i)
+        after = node(wall, i + 1)
+        before = node(wall, ti.max(i - 1, 0))
         if i == 0:
             before = ti.Vector([-after[0], after[1]])
         h0 = (here - before).norm()
@@ -134,16 +139,16 @@ class Surface:
         """(z, dz/dr) at radius r of the cubic through the wall nodes. Nodes are about evenly spread in r,
         so a short walk from the guess finds the two that hold r between them; where the wall overhangs, one
         such pair."""
-        last = wall[wall_count - 1]
+        last = node(wall, wall_count - 1)
         result = ti.Vector([last[1] + self.limbus_slope * (r - last[0]), self.limbus_slope])
         if r <= last[0]:
             i = ti.math.clamp(ti.cast(r / last[0] * (wall_count - 1), ti.i32), 0, wall_count - 2)
-            while i > 0 and wall[i][0] > r:
+            while i > 0 and wall[i, 0] > r:
                 i -= 1
-            while i < wall_count - 2 and wall[i + 1][0] <= r:
+            while i < wall_count - 2 and wall[i + 1, 0] <= r:
                 i += 1
-            a = wall[i]
-            b = wall[i + 1]
+            a = node(wall, i)
+            b = node(wall, i + 1)
             chord = (b - a).norm()
             ma = self.tangent(wall, i) * chord
             mb = 2.0 * (b - a) - ma
@@ -208,6 +213,12 @@ class Surface:
             gap0 = gap
             y = onwards
         return y
+
+
+@ti.func
+def node(wall: ti.template(), i):
+    """Place of the i-th node of the wall."""
+    return ti.Vector([wall[i, 0], wall[i, 1]])
 
 
 @ti.func

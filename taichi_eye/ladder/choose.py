@@ -29,16 +29,18 @@ elements that blows up only says that inertia counts.
 
 import math
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from taichi_eye.errors import RunStopped
-from taichi_eye.eye.section import Section
+from taichi_eye.eye.eye import eye_of
 from taichi_eye.ladder.misfit import misfit
 from taichi_eye.ladder.rungs import with_numerics
+from taichi_eye.ladder.trial import run_to_stop
 from taichi_eye.scene import Scene
-from taichi_eye.solver.reduced import Reduced
+from taichi_eye.scene.resolve import coarsest_spacing_mm
+from taichi_eye.scene.schema import AUTO
+from taichi_eye.solver.reduced import Cavity, Reduced, ThinLayer
 from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
 
 PILOT = 8  # elements of the coarsest pilots
@@ -118,6 +120,7 @@ class _Climb:
         self.allowed = (1.0 - MARGIN) * self.numerics.tolerance_percent
         cornea = scene.cornea
         self.length_mm = cornea.radius_mm * math.asin(cornea.limbus_radius_mm / cornea.radius_mm)
+        self.coarsest_mm = coarsest_spacing_mm(scene.values())
         self.choice = Choice(scene)
         self.inertia: float | None = None  # in percent, once a thin layer has run
         self.space, self.size = 1.0, 0.25  # space error in percent at a spacing in mm, until pilots tell
@@ -133,23 +136,23 @@ class _Climb:
         self._mfpm()
         return self.choice
 
-    def _run(self, model, elements, scene=None, **numerics) -> Reduced:
-        """A finished run of a reduced model; _Refused where it leaves its validity."""
-        spacing = self.length_mm / elements
-        named = "added_mass" if model == "layer" else model
-        simulation = Reduced(with_numerics(scene or self.scene, fidelity=named, spacing_mm=spacing, **numerics), model)
-        try:
-            simulation.run()
-        except RunStopped as stop:
+    def _run(self, model, spacing_mm, changes=None) -> Reduced:
+        """A finished run of a reduced model with other changes (see `Scene.but`); _Refused where it leaves its
+        validity. The spacing may be coarser than a chamber with nodes would take: there are none."""
+        named = "added_mass" if model is ThinLayer else model.__name__.lower()
+        own = {"numerics.fidelity": named, "numerics.spacing_mm": spacing_mm, "numerics.refresh_travel": AUTO}
+        simulation = model(self.scene.but({**own, **(changes or {})}, within_limits=False))
+        stop = run_to_stop(simulation)
+        if stop:
             if simulation.out_of_validity:
                 self.choice.refused[named] = str(stop)
-            raise _Refused from None
+            raise _Refused
         return simulation
 
-    def _pilot(self, *model, **numerics) -> _Pilot:
+    def _pilot(self, model, elements, changes=None) -> _Pilot:
         """What is kept of such a run: the next pilot takes over its fields and kernels."""
-        simulation = self._run(*model, **numerics)
-        return _Pilot(simulation.traces, viscous_share(simulation) if model[0] == "layer" else 0.0)
+        simulation = self._run(model, self.length_mm / elements, changes)
+        return _Pilot(simulation.traces, viscous_share(simulation) if model is ThinLayer else 0.0)
 
     def _apart(self, one, other) -> float:
         return misfit(one.traces, other.traces).of(self.numerics.tolerance_on)
@@ -166,14 +169,15 @@ class _Climb:
     def _uniform(self) -> bool:
         """membrane and cavity: no flow."""
         tolerance, sealed = self.numerics.tolerance_percent, self.scene.chamber.sealed
-        rough, thin = self._pilot("cavity", PILOT), self._pilot("layer", PILOT, refresh_travel=10.0)
+        rough, thin = self._pilot(Cavity, PILOT), self._pilot(ThinLayer, PILOT, {"numerics.refresh_travel": 10.0})
         self.inertia, self.viscous = self._apart(rough, thin), thin.viscous
         if self.inertia + self.viscous > self.allowed:
             self.choice.estimates["cavity"] = {"inertia": self.inertia, "viscosity": self.viscous}
             return False
-        run = self._run("cavity", OFFERED)
+        size = min(self.length_mm / OFFERED, self.coarsest_mm)
+        run = self._run(Cavity, size)
         full = _Pilot(run.traces, 0.0)
-        space, size = self._apart(full, rough) / 15.0, self.length_mm / OFFERED
+        space = self._apart(full, rough) / ((self.length_mm / PILOT / size) ** 2 - 1.0)
         errors = {"inertia": self.inertia, "viscosity": self.viscous, "space": space}
         pressure = full.traces["fluid_pressure_apex_kpa"]
         rise = 100.0 * float(np.abs(pressure - pressure[0]).max()) / max(float(run.puff.peak) * 1e-3, 1e-9)
@@ -197,10 +201,13 @@ class _Climb:
         tolerance = self.numerics.tolerance_percent
         # where eight elements blew up, they ring too coarsely to tell
         elements = PILOT if self.inertia is not None else 2 * PILOT
-        coarse, often = self._pilot("layer", elements), self._pilot("layer", elements, refresh_travel=0.25)
-        fine = self._pilot("layer", 2 * elements)
+        coarse, often = (
+            self._pilot(ThinLayer, elements),
+            self._pilot(ThinLayer, elements, {"numerics.refresh_travel": 0.25}),
+        )
+        fine = self._pilot(ThinLayer, 2 * elements)
         if self.inertia is None:
-            self.inertia = self._apart(self._pilot("cavity", elements), coarse)
+            self.inertia = self._apart(self._pilot(Cavity, elements), coarse)
         size = self.length_mm / elements
         self.space, self.size = self._apart(fine, coarse) / 3.0, 0.5 * size
         age = 2.0 * self._apart(coarse, often) / 0.25  # per spacing of travel at `size`
@@ -208,7 +215,7 @@ class _Climb:
         left = self.allowed - self.viscous
         space, grid = self.space, MAP_SHARE * self.inertia * (self.size / COARSEST_MM) ** 2
         self.space += grid  # as mfpm has it
-        spacing = min(self._finest(self.space, self.size, 0.75 * left), COARSEST_MM, self._roomiest())
+        spacing = min(self._finest(self.space, self.size, 0.75 * left), COARSEST_MM, self.coarsest_mm)
         travel = min(0.5, float(0.25 * left / max(age * spacing / size, 1e-12))) if left > 0.0 else 0.0
         refined = (spacing / self.size) ** 2
         self.choice.estimates["added_mass"] = errors = {
@@ -255,18 +262,17 @@ class _Climb:
         """The cheapest of SPEEDS with the spacing it leaves: time expected [s], c, spacing [mm], errors by space and
         sound."""
         try:
-            volume = Section.from_scene(self.scene).volume()
+            volume = eye_of(self.scene).section.volume()
             give = volume / (self.scene.aqueous.density_kg_m3 * PILOT_C**2) / MM3 * MMHG
-            chamber = replace(self.scene.chamber, compliance_mm3_mmhg=self.scene.chamber.compliance_mm3_mmhg + give)
-            soft = self._apart(
-                self._pilot("cavity", PILOT, replace(self.scene, chamber=chamber)), self._pilot("cavity", PILOT)
-            )
+            give += self.scene.chamber.compliance_mm3_mmhg
+            yielding = self._pilot(Cavity, PILOT, {"chamber.compliance_mm3_mmhg": give})
+            soft = self._apart(yielding, self._pilot(Cavity, PILOT))
         except _Refused:
             soft = 1.0  # what the default eye has
         offered = []
         for c in SPEEDS:
             by_sound = self._by_sound(soft, c)
-            spacing = min(self._finest(self.space, self.size, self.allowed - by_sound), COARSEST_MM, self._roomiest())
+            spacing = min(self._finest(self.space, self.size, self.allowed - by_sound), COARSEST_MM, self.coarsest_mm)
             if spacing >= FINEST_MM:
                 offered.append(
                     (self._mfpm_s(c, spacing), c, spacing, self.space * (spacing / self.size) ** 2, by_sound)
@@ -287,10 +293,6 @@ class _Climb:
     def _by_sound(self, soft, c) -> float:
         waves = WAVE_SHARE * (self.inertia or 0.0) * (20.0 / c) ** 2
         return waves + (soft * (PILOT_C / _mean_speed(c)) ** 2 if self.scene.chamber.sealed else 0.0)
-
-    def _roomiest(self) -> float:
-        """The coarsest spacing [mm] that the chamber's depth on the axis holds four of."""
-        return (self.scene.chamber.depth_mm - self.scene.chamber.lens_height_mm) / 4.0
 
     def _why_not_cavity(self) -> str:
         estimates, refused = self.choice.estimates, self.choice.refused

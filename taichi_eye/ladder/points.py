@@ -1,16 +1,16 @@
 """One scene under one setting of the ladder: run, timed and kept."""
 
 import gc
-import time
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from taichi_eye import backend
-from taichi_eye.errors import RunStopped
 from taichi_eye.ladder.misfit import extrapolate
-from taichi_eye.ladder.rungs import simulation_of, with_numerics
+from taichi_eye.ladder.rungs import with_numerics
+from taichi_eye.ladder.trial import run_scene
 from taichi_eye.scene import Scene
+from taichi_eye.scene.schema import AUTO
 
 SPACINGS = (0.4, 0.2828, 0.2, 0.1414, 0.1, 0.0707)  # mm; neighbours differ by sqrt 2, as a triple needs
 WARM_UP_MS = 0.5
@@ -97,43 +97,27 @@ def run_point(scene: Scene, setting: Setting, repeats: int | None = None) -> Poi
     """
     backend.init(precision=setting.precision, threads=setting.threads)
     applied = setting.applied(scene)
-    _try(with_numerics(applied, duration_ms=min(WARM_UP_MS, applied.numerics.duration_ms)))
+    warm_up_ms = min(WARM_UP_MS, applied.numerics.duration_ms)
+    run_scene(applied.but({"numerics.duration_ms": warm_up_ms, "camera.frame_count": AUTO}))
     times, wanted = [], 1
     while len(times) < wanted:
-        simulation, whole, solver, stopped = _try(applied)
-        times.append((whole, solver))
+        trial = run_scene(applied)
+        whole = trial.set_up_s + trial.solver_s
+        times.append((whole, trial.solver_s))
         wanted = repeats or (5 if whole < 0.3 else 3 if whole < 2.0 else 1)
-        traces = simulation.arrays()
-        nodes = simulation.cloud.count if simulation.cloud is not None else simulation.wall_count
-        steps = simulation.steps
         # the next run takes over its fields and kernels
-        del simulation
         gc.collect()
     whole, solver = np.median(np.array(times), axis=0)
     return Point(
         setting,
-        {name: np.asarray(traces[name]) for name in KEPT},
+        {name: trial.traces[name] for name in KEPT},
         float(whole),
         float(solver),
         len(times),
-        nodes,
-        steps,
-        stopped,
+        trial.nodes,
+        trial.steps,
+        str(trial.stop or ""),
     )
-
-
-def _try(scene):
-    """A run: the simulation, its wall time with and without set-up [s], and why it ended early, or ""."""
-    started = time.perf_counter()
-    simulation = simulation_of(scene)
-    built = time.perf_counter()
-    stopped = ""
-    try:
-        simulation.run()
-    except RunStopped as stop:
-        stopped = str(stop)
-    done = time.perf_counter()
-    return simulation, done - started, done - built, stopped
 
 
 def triple(spacing_mm: float, sound_speed_m_s: float) -> tuple[Setting, Setting, Setting]:

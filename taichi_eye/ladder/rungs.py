@@ -1,26 +1,9 @@
-"""The rungs, cheapest first: what each is for and what it leaves out.
-
-    membrane    cornea under a constant IOP. No liquid: no volume to hold, no inertia. What studies without a fluid did;
-                the right model of an open chamber at slow loads, 3 times too deep in a sealed one.
-    cavity      cornea over a uniform pressure that holds the chamber's volume (its stiffness is the bulk modulus of
-                water and the globe's compliance). Leaves out inertia and flow: the default eye's peak is 0.5 % shallow,
-                its
-                flanks 0.04 ms early, 2 % of the peak at the worst instant.
-    added_mass  cornea over incompressible potential flow. Leaves out viscosity, vorticity and sound.
-    mfpm        the weakly compressible, viscous liquid on moving nodes.
-
-All share scene, cornea, puff, film and traces; all but `mfpm` are `taichi_eye.solver.reduced`.
-"""
-
-from dataclasses import replace
+"""From a scene to the rung that computes it (`taichi_eye.rungs`)."""
 
 from taichi_eye.cloud.packing import Cloud
+from taichi_eye.rungs import RUNGS
 from taichi_eye.scene import Scene
-from taichi_eye.scene.resolve import REFRESH_TRAVEL
-from taichi_eye.solver.reduced import Reduced
-from taichi_eye.solver.simulation import Simulation
-
-RUNGS = ("membrane", "cavity", "added_mass", "mfpm")
+from taichi_eye.scene.schema import AUTO
 
 
 def with_numerics(scene: Scene, **changes) -> Scene:
@@ -29,28 +12,24 @@ def with_numerics(scene: Scene, **changes) -> Scene:
     Unless given, a new fidelity brings its own refresh_travel, and a new sound speed is that of the mean pressure, too.
     """
     if "fidelity" in changes:
-        changes.setdefault("refresh_travel", REFRESH_TRAVEL[changes["fidelity"] == "added_mass"])
+        changes.setdefault("refresh_travel", AUTO)
     if "sound_speed_m_s" in changes:
-        changes.setdefault("mean_sound_speed_m_s", changes["sound_speed_m_s"])
-    return replace(scene, numerics=replace(scene.numerics, **changes))
+        changes.setdefault("mean_sound_speed_m_s", AUTO)
+    return scene.but({f"numerics.{name}": value for name, value in changes.items()})
 
 
-def simulation_of(scene: Scene, cloud: Cloud | None = None) -> Simulation | Reduced:
+def simulation_of(scene: Scene, cloud: Cloud | None = None):
     """The simulation that a scene's fidelity asks for; ValueError for "auto", which `taichi_eye.ladder.choose` decides
     first."""
-    if scene.numerics.fidelity == "auto":
+    fidelity = scene.numerics.fidelity
+    if fidelity == "auto":
         raise ValueError(
             'numerics.fidelity = "auto" has to be decided first: taichi_eye.ladder.choose.choose(scene).scene'
         )
-    if scene.numerics.fidelity == "mfpm":
-        return Simulation(scene, cloud)
-    return Reduced(scene, scene.numerics.fidelity, cloud)
+    return RUNGS[fidelity].simulation(scene, cloud)
 
 
 def needs_cloud(scene: Scene) -> bool:
     """Whether a run of this scene packs nodes: to compute with, or to show."""
-    return (
-        scene.numerics.fidelity in ("added_mass", "mfpm")
-        or scene.camera.view != "scheimpflug"
-        or scene.output.node_fields
-    )
+    packs = RUNGS[scene.numerics.fidelity].packs_nodes
+    return packs or scene.camera.view != "scheimpflug" or scene.output.node_fields

@@ -67,8 +67,8 @@ class NeighbourLists:
         # a sparse domain must not need more cells than there is room for
         while np.prod(np.floor(extent / size) + 1) > self.capacity:
             size *= 1.5
-        columns, rows = (np.floor(extent / size) + 1).astype(int)
-        self._bin(points, eye, first, count, low[0], low[1], size, columns, rows)
+        columns, rows = (np.floor(extent / size) + 1).astype(int).tolist()
+        self._bin(points, eye, first, count, *low.tolist(), size, columns, rows)
         self._collect(points, eye, radius, columns, rows)
 
     def everyone(self):

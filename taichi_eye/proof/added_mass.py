@@ -9,13 +9,14 @@ from scipy.linalg import eig, null_space
 
 from taichi_eye.cloud.packing import pack
 from taichi_eye.eye.section import Section
+from taichi_eye.proof.comparison import Comparison, order
 from taichi_eye.proof.domains import Vessel, vessel_cloud
 from taichi_eye.proof.membranes import Membrane
-from taichi_eye.proof.rows import Row, order
 from taichi_eye.proof.waves import TENSION, THICKNESS, WALL_DENSITY, tissue
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.motion import Motion
-from taichi_eye.solver.potential import PotentialFlow, ring_areas
+from taichi_eye.solver.potential import PotentialFlow
+from taichi_eye.solver.rings import ring_areas
 
 DENSITY = 1000.0
 EYE = {"thickness": 0.55e-3, "density": 1100.0, "iop": 2000.0}
@@ -35,7 +36,7 @@ def frequencies(cloud, thickness, wall_density, material, iop=0.0, count: int = 
         push = [force + iop * area for force, area in map(membrane.forces, moved)]
         stiffness[:, column] = (push[1] - push[0])[:-1].ravel() / (2.0 * step)
     aqueous = Aqueous(cloud.count, "quadratic")
-    aqueous.setup(cloud, DENSITY, 0.0, 1.0, 0.0)
+    aqueous.setup(cloud, density=DENSITY, viscosity=0.0, sound_speed=1.0, dissipation=0.0)
     flow = PotentialFlow(membrane.cornea, aqueous, Motion(membrane.cornea, aqueous))
     flow.setup(cloud)
     membrane.forces(nodes)
@@ -82,7 +83,7 @@ def _add(rows, figures, problem, exact, spacings, found, quick):
     errors = np.abs(np.array(found) / np.asarray(exact) - 1.0)
     common = order(spacings, np.sqrt((errors**2).mean(1)))
     rows += [
-        Row(
+        Comparison(
             problem,
             f"mode {m + 1} (Hz)",
             exact[m],

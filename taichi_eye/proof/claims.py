@@ -16,17 +16,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from taichi_eye.errors import RunStopped
-from taichi_eye.eye.tissue import biaxial_tangent, rest_stress, solve_prestrain
+from taichi_eye.eye.eye import eye_of
+from taichi_eye.eye.tissue import biaxial_tangent
+from taichi_eye.ladder.trial import Trial, run_scene
 from taichi_eye.proof.measures import Measures, lag_of_best_match, measure
 from taichi_eye.scene import load_scene
-from taichi_eye.solver.simulation import Simulation
-from taichi_eye.units import MM, MMHG
 
 FRAME_MS = 0.2315  # between two frames of the Corvis ST: a shorter delay it does not see
 C_BASE = 80.0  # m/s
@@ -49,19 +49,37 @@ class Case:
     refine: float = 1.0  # times finer than the other runs
 
 
-@dataclass
-class Outcome:
-    """What a case gave: histories [samples], measures (None where the run was stopped), the guard's words if so."""
+@dataclass(frozen=True)
+class Answer:
+    """A case and what its run left."""
 
     case: Case
-    time_ms: np.ndarray
-    apex_mm: np.ndarray
-    load_kpa: np.ndarray
-    measures: Measures | None
-    delays: dict[str, float] = field(default_factory=dict)  # ms behind the load, by measure
-    stop: str = ""
-    volume_change: float = 0.0  # most negative, of the volume at rest
-    energy_error: float = 0.0  # largest, over the largest work of the puff
+    run: Trial
+
+    time_ms = property(lambda self: self.run.traces["time_ms"])
+    apex_mm = property(lambda self: self.run.traces["apex_displacement_mm"])
+    load_kpa = property(lambda self: self.run.traces["puff_apex_kpa"])
+
+    @cached_property
+    def measures(self) -> Measures | None:
+        """Of the apex history; None where the run was stopped."""
+        return None if self.run.stop else measure(self.time_ms, self.apex_mm)
+
+    @cached_property
+    def delays(self) -> dict[str, float]:
+        """How far [ms] the apex is behind the load, by measure (`delays`); empty where the run was stopped."""
+        return delays(self.time_ms, self.apex_mm, self.load_kpa) if self.measures else {}
+
+    @property
+    def stop(self) -> str:
+        """The guard's words, or empty."""
+        stop = self.run.stop
+        return f"{stop.what} ({stop.where}) at {stop.time_ms:.2f} ms" if stop else ""
+
+    @property
+    def volume_change(self) -> float:
+        """The most negative one, of the volume at rest."""
+        return float(self.run.traces["chamber_volume_error"].min())
 
     @property
     def peak_mm(self) -> float:
@@ -71,10 +89,10 @@ class Outcome:
     @property
     def sound(self) -> bool:
         """Whether the run went through and kept its energy balance."""
-        return self.measures is not None and self.energy_error <= ENERGY_SHARE
+        return self.measures is not None and self.run.energy_share <= ENERGY_SHARE
 
     def row(self) -> dict:
-        """The outcome as one flat row for tables."""
+        """The answer as one flat row for tables."""
         m = self.measures
         row = {"study": self.case.study, "case": self.case.label, "value": self.case.value, "peak_mm": self.peak_mm}
         names = ("peak_time_ms", "rise_time_ms", "fall_time_ms", "midpoint_ms", "centroid_ms")
@@ -86,7 +104,7 @@ class Outcome:
         }
         return row | {
             "volume_change": self.volume_change,
-            "energy_error": self.energy_error,
+            "energy_error": self.run.energy_share,
             "overrides": " ".join(self.case.overrides),
             "stopped": self.stop,
         }
@@ -153,43 +171,27 @@ def _lighter_fluid(factor: float) -> tuple[str, ...]:
 
 def _exponent_for_tangent(scene, factor: float) -> float:
     """k that multiplies the biaxial tangent at rest by `factor`; A stays, eps0 follows from the rest condition."""
-    cornea = scene.cornea
-    s0 = rest_stress(scene.eye.iop_mmhg * MMHG, cornea.radius_mm * MM, cornea.thickness_mm * MM)
-    tangent = lambda k: biaxial_tangent(cornea.stiffness_a_pa, k, solve_prestrain(s0, cornea.stiffness_a_pa, k))
-    wanted = factor * tangent(cornea.exponent_k)
-    low, high = 0.1 * cornea.exponent_k, 10.0 * cornea.exponent_k
+    eye = eye_of(scene)
+    a, exponent, nu = eye.cornea.constants
+
+    def tangent(k):
+        other = eye.but(cornea=replace(eye.cornea, constants=(a, k, nu)))
+        return biaxial_tangent(other.cornea.law, other.cornea.coefficients, other.apex_prestrain)
+
+    wanted = factor * tangent(exponent)
+    low, high = 0.1 * exponent, 10.0 * exponent
     for _ in range(60):  # the tangent grows with k
         middle = 0.5 * (low + high)
         low, high = (middle, high) if tangent(middle) < wanted else (low, middle)
     return 0.5 * (low + high)
 
 
-def run_case(case: Case, spacing_mm: float) -> Outcome:
-    """Simulate one case; a guard's stop is an outcome."""
+def run_case(case: Case, spacing_mm: float) -> Answer:
+    """Simulate one case; a guard's stop is an answer."""
     scene = load_scene(
         None, (f"numerics.spacing_mm={spacing_mm / case.refine}", f"numerics.sound_speed_m_s={C_BASE}", *case.overrides)
     )
-    simulation = Simulation(scene)
-    stop = ""
-    try:
-        simulation.run()
-    except RunStopped as reason:
-        stop = f"{reason.what} ({reason.where}) at {reason.time_ms:.2f} ms"
-    traces = simulation.arrays()
-    t, apex, load = (traces[name] for name in ("time_ms", "apex_displacement_mm", "puff_apex_kpa"))
-    outcome = Outcome(
-        case,
-        t,
-        apex,
-        load,
-        None if stop else measure(t, apex),
-        stop=stop,
-        volume_change=float(traces["chamber_volume_error"].min()),
-        energy_error=float(np.abs(traces["energy_error_uj"]).max() / np.abs(traces["puff_work_uj"]).max()),
-    )
-    if outcome.measures:
-        outcome.delays = delays(t, apex, load)
-    return outcome
+    return Answer(case, run_scene(scene))
 
 
 def delays(time_ms, apex, load) -> dict[str, float]:
@@ -203,7 +205,7 @@ def delays(time_ms, apex, load) -> dict[str, float]:
     }
 
 
-def quasi_static(reference: Outcome, load_kpa: np.ndarray) -> np.ndarray:
+def quasi_static(reference: Answer, load_kpa: np.ndarray) -> np.ndarray:
     """The apex [mm] that a cornea without inertia would show under `load_kpa`, up to the reference's peak load.
 
     From the reference run under a symmetric puff: at each load the mean of the rising and the falling branch, in which
@@ -218,17 +220,17 @@ def quasi_static(reference: Outcome, load_kpa: np.ndarray) -> np.ndarray:
 
 
 class Results:
-    """The outcomes by study, and what follows from them."""
+    """The answers by study, and what follows from them."""
 
-    def __init__(self, outcomes: Sequence[Outcome]):
-        self.outcomes = list(outcomes)
+    def __init__(self, answers: Sequence[Answer]):
+        self.answers = list(answers)
         self.base = self.of("reference")[0]
 
-    def of(self, study: str) -> list[Outcome]:
-        """The outcomes of one study, by rising value."""
-        return sorted((o for o in self.outcomes if o.case.study == study), key=lambda o: o.case.value)
+    def of(self, study: str) -> list[Answer]:
+        """The answers of one study, by rising value."""
+        return sorted((o for o in self.answers if o.case.study == study), key=lambda o: o.case.value)
 
-    def with_base(self, study: str, value: float) -> list[Outcome]:
+    def with_base(self, study: str, value: float) -> list[Answer]:
         """A study with the reference put in at its own value; runs that are not sound left out."""
         pairs = [(o.case.value, o) for o in self.of(study) if o.sound] + [(value, self.base)]
         return [o for _, o in sorted(pairs, key=lambda pair: pair[0])]
@@ -239,7 +241,7 @@ class Results:
         pairs = sorted([(o.case.value, o.peak_mm) for o in self.of("IOP") if o.sound] + [(iop, self.base.peak_mm)])
         return np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
 
-    def pressure_seen(self, outcome: Outcome, feature: str = "peak") -> float:
+    def pressure_seen(self, answer: Answer, feature: str = "peak") -> float:
         """The IOP [mmHg] that an examiner who believes in the reference tissue reads off a feature of a history.
 
         The feature must fall as the IOP rises.
@@ -251,7 +253,7 @@ class Results:
         )
         pressures, values = np.array(pairs).T
         curve = PchipInterpolator(np.log(values[::-1]), np.log(pressures[::-1]))
-        return float(np.exp(curve(np.log(getattr(outcome.measures, feature)))))
+        return float(np.exp(curve(np.log(getattr(answer.measures, feature)))))
 
     def elasticities(self) -> dict[str, dict[str, float]]:
         """d ln(feature) / d ln(parameter) at the reference, by parameter and feature; central differences."""
@@ -266,13 +268,13 @@ class Results:
             }
         return table
 
-    def _neighbours(self, study: str, value: float) -> tuple[Outcome, Outcome]:
+    def _neighbours(self, study: str, value: float) -> tuple[Answer, Answer]:
         found = self.of(study)
         return ([o for o in found if o.case.value < value][-1], [o for o in found if o.case.value > value][0])
 
 
 UNKNOWNS = "exponent", "stiffness", "thickness", "puff"  # studies of what an examiner may not know
-FEATURES: dict[str, Callable[[Outcome], float]] = {
+FEATURES: dict[str, Callable[[Answer], float]] = {
     "peak": lambda o: o.measures.peak,
     "half rise before the puff's centre": lambda o: (
         measure(o.time_ms, o.load_kpa).midpoint_ms - o.measures.rise_time_ms

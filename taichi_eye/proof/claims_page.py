@@ -21,7 +21,7 @@ from taichi_eye.proof.claims import (
     FRAME_MS,
     UNKNOWN,
     UNKNOWNS,
-    Outcome,
+    Answer,
     Results,
     delays,
     likeness,
@@ -46,7 +46,7 @@ class Verdict:
 
 
 def verdicts(results: Results) -> list[Verdict]:
-    """The five claims and the clinical delay, judged from the outcomes."""
+    """The five claims and the clinical delay, judged from the answers."""
     return [
         _lag(results),
         _asymmetry(results),
@@ -245,24 +245,24 @@ _NAMES = {
 }
 
 
-def _one(results: Results, study: str) -> Outcome | None:
+def _one(results: Results, study: str) -> Answer | None:
     found = [o for o in results.of(study) if o.sound]
     return found[0] if found else None
 
 
-def _delays(outcome: Outcome) -> str:
+def _delays(answer: Answer) -> str:
     words = {"midpoint": "50 % midpoint", "centroid": "centroid", "match": "best match", "peak": "fitted peak"}
-    return ", ".join(f"{words[name]} {value:+.3f} ms" for name, value in outcome.delays.items())
+    return ", ".join(f"{words[name]} {value:+.3f} ms" for name, value in answer.delays.items())
 
 
-def _flat(outcome: Outcome) -> float:
-    high = outcome.time_ms[outcome.apex_mm > 0.99 * outcome.apex_mm.max()]
+def _flat(answer: Answer) -> float:
+    high = answer.time_ms[answer.apex_mm > 0.99 * answer.apex_mm.max()]
     return float(high[-1] - high[0])
 
 
-def _beyond_static(results: Results, outcome: Outcome) -> dict[str, float]:
-    static = delays(outcome.time_ms, quasi_static(results.base, outcome.load_kpa), outcome.load_kpa)
-    return {name: outcome.delays[name] - static[name] for name in ("midpoint", "centroid", "peak")}
+def _beyond_static(results: Results, answer: Answer) -> dict[str, float]:
+    static = delays(answer.time_ms, quasi_static(results.base, answer.load_kpa), answer.load_kpa)
+    return {name: answer.delays[name] - static[name] for name in ("midpoint", "centroid", "peak")}
 
 
 # --- figures --------------------------------------------------------------------------------------------------------
@@ -331,9 +331,9 @@ def _sweeps(results: Results) -> Figure:
         ),
         ("viscosity (mPa s), slip", [o for o in results.with_base("viscosity", mu) if _place(o, mu) > 0]),
     )
-    for column, (label, outcomes) in enumerate(columns):
+    for column, (label, answers) in enumerate(columns):
         own = (load_scene().numerics.sound_speed_m_s, 1.0, mu)[column]
-        at = [_place(o, own) for o in outcomes]
+        at = [_place(o, own) for o in answers]
         top, low = axes[0, column], axes[1, column]
         for name, colour, marker in (
             ("midpoint", BLUE, "o"),
@@ -343,7 +343,7 @@ def _sweeps(results: Results) -> Figure:
         ):
             top.plot(
                 at,
-                [o.delays[name] for o in outcomes],
+                [o.delays[name] for o in answers],
                 color=colour,
                 marker=marker,
                 markersize=5,
@@ -353,7 +353,7 @@ def _sweeps(results: Results) -> Figure:
         top.axhspan(-FRAME_MS, FRAME_MS, color=GREY, alpha=0.12, linewidth=0, label="within one camera frame")
         low.plot(
             at,
-            [100 * o.measures.odd_share for o in outcomes],
+            [100 * o.measures.odd_share for o in answers],
             color=BLUE,
             marker="o",
             markersize=5,
@@ -361,7 +361,7 @@ def _sweeps(results: Results) -> Figure:
         )
         low.plot(
             at,
-            [100 * o.measures.skewness for o in outcomes],
+            [100 * o.measures.skewness for o in answers],
             color=GREEN,
             marker="s",
             markersize=5,
@@ -369,7 +369,7 @@ def _sweeps(results: Results) -> Figure:
         )
         low.plot(
             at,
-            [10 * math.log(o.measures.fall_to_rise) for o in outcomes],
+            [10 * math.log(o.measures.fall_to_rise) for o in answers],
             color=ORANGE,
             marker="x",
             markersize=5,
@@ -377,7 +377,7 @@ def _sweeps(results: Results) -> Figure:
         )
         low.plot(
             at,
-            [10 * math.log(o.measures.speed_ratio) for o in outcomes],
+            [10 * math.log(o.measures.speed_ratio) for o in answers],
             color=GREY,
             marker="^",
             markersize=5,
@@ -392,8 +392,8 @@ def _sweeps(results: Results) -> Figure:
     return figure
 
 
-def _place(outcome: Outcome, own: float) -> float:
-    return own if outcome.case.study == "reference" else outcome.case.value
+def _place(answer: Answer, own: float) -> float:
+    return own if answer.case.study == "reference" else answer.case.value
 
 
 def _eyes(results: Results) -> Figure:
@@ -539,7 +539,7 @@ def page(results: Results, spacing_mm: float) -> str:
     head = "".join(f"<th>{title}</th>" for _, title, _ in _SHOWN)
     body = "".join(
         "<tr>" + "".join(f"<td>{html.escape(_cell(row[name], form))}</td>" for name, _, form in _SHOWN) + "</tr>"
-        for row in (o.row() for o in results.outcomes)
+        for row in (o.row() for o in results.answers)
     )
     return (
         "<!doctype html><html lang=en><meta charset=utf-8><title>The paper's claims, "
@@ -571,9 +571,9 @@ def _png(figure: Figure) -> str:
     return base64.b64encode(buffer.getvalue()).decode("ascii")
 
 
-def table(outcomes: Sequence[Outcome]) -> str:
+def table(answers: Sequence[Answer]) -> str:
     """All rows as CSV text."""
-    rows = [o.row() for o in outcomes]
+    rows = [o.row() for o in answers]
     out = io.StringIO()
     writer = csv.DictWriter(out, list(rows[0]), lineterminator="\n")
     writer.writeheader()
@@ -588,7 +588,7 @@ def as_json(results: Results) -> str:
             {
                 "claims": [{"claim": v.claim, "holds": v.holds, "why": v.why} for v in verdicts(results)],
                 "elasticities": results.elasticities(),
-                "runs": [o.row() for o in results.outcomes],
+                "runs": [o.row() for o in results.answers],
             },
             indent=2,
         )
@@ -598,6 +598,6 @@ def as_json(results: Results) -> str:
 
 def write(results: Results, folder: Path, spacing_mm: float) -> Path:
     """Write claims.html and claims.csv into the folder; returns the page's path."""
-    write_text(folder / "claims.csv", table(results.outcomes))
+    write_text(folder / "claims.csv", table(results.answers))
     write_text(folder / "claims.html", page(results, spacing_mm))
     return folder / "claims.html"

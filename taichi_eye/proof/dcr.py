@@ -1,6 +1,6 @@
 """`taichi-eye clinic SCENE`: the dynamic corneal response of a scene beside published norms, and what its switches do.
 
-Parameters are read from the computed wall itself (`taichi_eye.analysis.response`), no film between. Three tables: the
+Parameters are read from the computed wall itself (`taichi_eye.analysis.simulated`), no film between. Three tables: the
 scene, with z-scores against the published populations (`taichi_eye.analysis.norms`) and whether it lies within one
 standard
 deviation of one of them; the scene with one switch at a time set back to the default eye; slopes with IOP and central
@@ -13,24 +13,21 @@ its pressure (Friedenwald), so it does along the eyes of other IOPs. A run that 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
-from taichi_eye.analysis import Response, curves_from_wall, respond
+from taichi_eye.analysis import Response
 from taichi_eye.analysis.norms import NORMS, z_scores
-from taichi_eye.errors import RunStopped, SceneError
-from taichi_eye.eye.globe import retreat_mm
-from taichi_eye.eye.puff import Puff
-from taichi_eye.ladder.choose import choose
-from taichi_eye.ladder.rungs import simulation_of
+from taichi_eye.analysis.simulated import Reading, response_of
+from taichi_eye.errors import SceneError
 from taichi_eye.proof.clinic import SLOPES
 from taichi_eye.report.folder import create_run_folder, write_text
 from taichi_eye.report.page import table, write_page
 from taichi_eye.scene import Scene, load_scene
-from taichi_eye.units import MM, MMHG, MS
+from taichi_eye.scene.schema import AUTO, all_keys
 
 SHOWN = {
     "a1_time_ms": "A1 ms",
@@ -49,73 +46,34 @@ SHOWN = {
 SWITCHES = {
     "whole-eye movement": ("eye.whole_eye_movement_mm",),
     "bending stiffness": ("cornea.flexural_modulus_mpa",),
-    "in-plane stiffness": ("cornea.stiffness_a_pa", "cornea.exponent_k"),
+    "in-plane stiffness": ("cornea.stiffness_a_pa", "cornea.exponent_k", "cornea.exponent_s", "cornea.prestrain"),
     "in-plane coupling": ("cornea.poisson_ratio",),
     "relaxing tissue": ("cornea.viscoelastic_share",),
     "thicker rim": ("cornea.limbus_thickness_mm",),
     "yielding globe": ("chamber.compliance_mm3_mmhg",),
     "late globe": ("chamber.globe_delay_ms",),
     "width of the puff": ("puff.radial_profile", "puff.width_mm"),
-    "course of the puff": ("puff.time_course",),
+    "course of the puff": ("puff.time_course", "puff.file"),
 }
 IOP_STEPS_MMHG = -4.0, -2.0, 0.0, 2.0, 4.0
 THICKNESS_STEPS_UM = -40.0, -20.0, 0.0, 20.0, 40.0
 FACTOR = 1.5  # within which a slope counts as that of the living eyes
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What a scene answers with; stopped: why a guard ended its run, or empty."""
+def switches_of(scene: Scene) -> dict[str, dict[str, Any]]:
+    """The changes (see `Scene.but`) that set back each switch which the scene sets.
 
-    response: Response
-    stopped: str = ""
-
-
-def response_of(scene: Scene) -> Outcome:
-    """Run a scene without a film and read the DCR parameters from its wall."""
-    if scene.numerics.fidelity == "auto":
-        scene = choose(scene).scene
-    times, walls, puff, stopped = [], [], Puff.from_scene(scene), ""
-
-    def keep(eye, frame):
-        wall = eye.cornea.place.to_numpy()[: eye.wall_count] / MM
-        times.append(eye.time_ms)
-        walls.append(wall - [0.0, float(retreat_mm(scene, eye.time_ms))])
-
-    try:
-        simulation_of(scene).run(keep)
-    except RunStopped as stop:
-        stopped = f"{stop.what}, {stop.time_ms:.1f} ms"
-    if len(times) < 30:
-        return Outcome(Response(), stopped or "too few frames")
-    walls = np.array(walls)
-    curves = curves_from_wall(np.array(times), walls[:, :, 0], walls[:, :, 1], scene.cornea.thickness_mm)
-    return Outcome(
-        respond(
-            curves,
-            scene.camera.frame_interval_ms,
-            scene.eye.iop_mmhg,
-            lambda t: float(puff.pressure_at_apex(t * MS)) / MMHG,
-        ),
-        stopped,
-    )
-
-
-def switches_of(scene: Scene, default: Scene) -> dict[str, list[str]]:
-    """Overrides that set back each switch in which the scene differs from the default eye."""
-    found = {}
+    A switch of keys with plain defaults is set where a value differs from its default; one of computed keys where a key
+    was given: it goes back to "auto", and what is computed from it follows.
+    """
+    default, own, found = {name: spec.default for name, _, spec in all_keys()}, scene.values(), {}
     for name, keys in SWITCHES.items():
-        pairs = [key.split(".") for key in keys]
-        value = lambda where, pair: getattr(getattr(where, pair[0]), pair[1])  # noqa: E731
-        if name == "thicker rim":
-            if scene.cornea.limbus_thickness_mm != scene.cornea.thickness_mm:
-                found[name] = [f"{keys[0]}=auto"]
-        elif any(value(scene, pair) != value(default, pair) for pair in pairs):
-            found[name] = [f"{key}={value(default, pair)}" for key, pair in zip(keys, pairs)]
+        if any(key in scene.given if default[key] == AUTO else own[key] != default[key] for key in keys):
+            found[name] = {key: default[key] for key in keys}
     return found
 
 
-def slope(steps, outcomes: list[Outcome], name: str) -> float:
+def slope(steps, outcomes: list[Reading], name: str) -> float:
     """Of a parameter over the steps, NaN where fewer than three eyes show it."""
     pairs = [(step, getattr(outcome.response, name)) for step, outcome in zip(steps, outcomes) if not outcome.stopped]
     pairs = [(step, value) for step, value in pairs if value is not None]
@@ -134,33 +92,38 @@ def report(
 
     Raises SceneError before anything is written where the scene is bad or without a puff.
     """
-    scene, overrides = load_scene(path, overrides), list(overrides)
+    scene = load_scene(path, overrides)
     if scene.puff.peak_kpa == 0.0:
         raise SceneError(f"{path}: puff.peak_kpa = 0: an eye without a puff has no dynamic response")
-    switched = switches_of(scene, load_scene())
-    iop, yields = scene.eye.iop_mmhg, scene.chamber.compliance_mm3_mmhg
-    steps = [
-        ("IOP", [f"eye.iop_mmhg={iop + step:.6g}", f"chamber.compliance_mm3_mmhg={yields * iop / (iop + step):.6g}"])
+    switched = switches_of(scene)
+    iop, cornea = scene.eye.iop_mmhg, scene.cornea
+    runs = [("scene", {}), *switched.items()]
+    runs += [
+        (
+            f"IOP {step:+g} mmHg",
+            {
+                "eye.iop_mmhg": iop + step,
+                "chamber.compliance_mm3_mmhg": scene.chamber.compliance_mm3_mmhg * iop / (iop + step),
+            },
+        )
         for step in IOP_STEPS_MMHG
     ]
-    cornea = scene.cornea
-    steps += [
+    runs += [
         (
-            "CCT",
-            [
-                f"cornea.thickness_mm={cornea.thickness_mm + 1e-3 * step:.6g}",
-                f"cornea.limbus_thickness_mm={cornea.limbus_thickness_mm + 1e-3 * step:.6g}",
-            ],
+            f"thickness {step:+g} um",
+            {
+                "cornea.thickness_mm": cornea.thickness_mm + 1e-3 * step,
+                "cornea.limbus_thickness_mm": cornea.limbus_thickness_mm + 1e-3 * step,
+            },
         )
         for step in THICKNESS_STEPS_UM
     ]
-    runs = [("scene", []), *switched.items(), *steps]
-    scenes = [load_scene(path, [*overrides, *more]) for _, more in runs]
+    scenes = [scene.but(changes) for _, changes in runs]
     folder = create_run_folder(out, "clinic")
     outcomes = []
     with tqdm(total=len(runs), unit=" runs", disable=not progress, dynamic_ncols=True, leave=False) as bar:
-        for (name, more), each in zip(runs, scenes):
-            bar.set_description_str(name if name not in ("IOP", "CCT") else more[0])
+        for (name, _), each in zip(runs, scenes):
+            bar.set_description_str(name)
             outcomes.append(response_of(each))
             bar.update()
     own = outcomes[0]
@@ -202,7 +165,7 @@ def norms_table(response: Response) -> tuple[list[str], list[list[str]]]:
     return ["parameter", "computed", *(f"{p} (z)" for p in NORMS), "within 1 SD of one"], body
 
 
-def switch_table(outcomes: dict[str, Outcome]) -> tuple[list[str], list[list[str]]]:
+def switch_table(outcomes: dict[str, Reading]) -> tuple[list[str], list[list[str]]]:
     """The scene, then the scene without each switch."""
     body = [
         [
@@ -215,7 +178,7 @@ def switch_table(outcomes: dict[str, Outcome]) -> tuple[list[str], list[list[str
     return ["", *SHOWN.values(), "stopped"], body
 
 
-def slope_table(iop: list[Outcome], thickness: list[Outcome]) -> tuple[list[str], list[list[str]]]:
+def slope_table(iop: list[Reading], thickness: list[Reading]) -> tuple[list[str], list[list[str]]]:
     """Slopes per mmHg and per 10 um beside those of living eyes: computed, measured, their ratio, within FACTOR or
     not."""
     body = []

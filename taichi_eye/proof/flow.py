@@ -56,7 +56,14 @@ class Flow:
             np.zeros(total),
             np.zeros(total),
         )
-        self.aqueous.setup(whole, density, viscosity, sound_speed, dissipation, stencil=stencil)
+        self.aqueous.setup(
+            whole,
+            density=density,
+            viscosity=viscosity,
+            sound_speed=sound_speed,
+            dissipation=dissipation,
+            stencil=stencil,
+        )
         source = np.zeros(self.aqueous.capacity, dtype=np.int32)
         sign = np.zeros((self.aqueous.capacity, 2))
         source[:copies], sign[:copies] = images.source, images.sign

@@ -6,7 +6,7 @@ from scipy.linalg import solve_banded
 from taichi_eye.eye.section import Section
 from taichi_eye.eye.tissue import inflation_pressure
 from taichi_eye.lang import ONE_TASK, ti
-from taichi_eye.proof.rows import Row, order, relative
+from taichi_eye.proof.comparison import Comparison, order, relative
 from taichi_eye.solver.cornea import Cornea
 
 # Hencky's solution: w0 = C1 (q a^4/(E h))^(1/3) at the centre, N(0) = C2 (E h q^2 a^2)^(1/3)
@@ -15,12 +15,24 @@ HENCKY = {0.3: (0.653443, 0.431101), 0.49: (0.598243, 0.459382)}
 
 @ti.data_oriented
 class Membrane:
-    """The solver's cornea without a liquid: forces of its tissue and its area vectors at a given place."""
+    """The solver's cornea without a liquid: forces of its tissue and its area vectors at a given place.
+
+    material: the coefficients of the tissue law and, last, the prestrain.
+    """
 
     def __init__(self, nodes, thickness: float, material, density: float = 1000.0):
         self.count = len(nodes)
         self.cornea = Cornea(self.count)
-        self.cornea.setup(nodes, thickness, density, material, 0.0, np.zeros(self.count))
+        *coefficients, prestrain = material
+        self.cornea.setup(
+            nodes,
+            thickness=thickness,
+            density=density,
+            coefficients=coefficients,
+            prestrain=prestrain,
+            iop=0.0,
+            load_shape=np.zeros(self.count),
+        )
         self.force = ti.Vector.field(2, self.cornea.place.dtype, self.count)
         self.area = ti.Vector.field(2, self.cornea.place.dtype, self.count)
 
@@ -68,7 +80,7 @@ def inflation(quick: bool = False):
         mean = found[np.arange(len(stretches)), np.abs(found / exact[:, None] - 1.0).argmax(1)]
     errors = np.array(errors)
     rows = [
-        Row(
+        Comparison(
             "membrane inflation",
             f"pressure at lam {lam:g} (Pa), worst node",
             float(exact[j]),
@@ -120,7 +132,7 @@ def hencky(quick: bool = False):
         for name, values, exact in (("C1 (deflection)", depth, c1), ("C2 (tension at the centre)", tension, c2)):
             errors = [relative(v, exact) for v in values]
             rows.append(
-                Row(
+                Comparison(
                     "Hencky",
                     f"{name}, nu {nu:g}",
                     exact,

@@ -12,10 +12,12 @@ from scipy.linalg import lu_factor, lu_solve
 
 from taichi_eye.backend import real
 from taichi_eye.cloud.packing import Cloud
+from taichi_eye.eye.laws import LAWS, Law
 from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.cornea import Cornea
-from taichi_eye.solver.coupling import NOT_CONVERGED, Coupling
+from taichi_eye.solver.coupling import Coupling
+from taichi_eye.solver.figures import NOT_CONVERGED
 
 PERTURBATION = 1e-7  # of each variable's own scale: small enough to be linear, large enough for 1e-9 of accuracy
 
@@ -35,7 +37,7 @@ class CoupledSystem:
         *,
         basis: str = "quadratic",
         planar: bool = False,
-        law: str = "exponential",
+        law: Law = LAWS["exponential"],
         rim: str = "clamped",
     ):
         self.cornea = Cornea(walls_capacity, law, rim, planar)
@@ -59,17 +61,39 @@ class CoupledSystem:
         iterated: bool = True,
         sweeps_max: int = 60,
     ) -> None:
-        """Put a cloud and its cornea to rest (SI units; as `Cornea.setup`, `Aqueous.setup` and `Coupling.setup`)."""
+        """Put a cloud and its cornea to rest (SI units; as `Cornea.setup`, `Aqueous.setup` and `Coupling.setup`).
+
+        material: the coefficients of the tissue law and, last, the prestrain.
+        """
         self.iterated, self.sweeps_max = iterated, sweeps_max
         self.cloud, self.count, self.walls = cloud, cloud.count, cloud.wall_count
         nodes = cloud.section.cornea_nodes(cloud.wall_count - 1)
-        self.cornea.setup(nodes, thickness, wall_density, material, iop, np.zeros(self.walls))
-        self.aqueous.setup(cloud, density, viscosity, sound_speed, dissipation, stencil=stencil)
+        *coefficients, prestrain = material
+        self.cornea.setup(
+            nodes,
+            thickness=thickness,
+            density=wall_density,
+            coefficients=coefficients,
+            prestrain=prestrain,
+            iop=iop,
+            load_shape=np.zeros(self.walls),
+        )
+        self.aqueous.setup(
+            cloud,
+            density=density,
+            viscosity=viscosity,
+            sound_speed=sound_speed,
+            dissipation=dissipation,
+            stencil=stencil,
+        )
         self.sound_speed, self.spacing = sound_speed, cloud.spacing
         self.pressure_scale[None] = density * sound_speed
         self.length_scale[None] = cloud.spacing / sound_speed
         self.acceleration_scale[None] = sound_speed / cloud.spacing
         self._remember()
+
+    def _set_coupling(self, iterated: bool, tolerance: float, sweeps_max: int) -> None:
+        self.coupling.setup(iterated=iterated, aitken=False, factor=1.0, tolerance=tolerance, sweeps_max=sweeps_max)
 
     @property
     def size(self) -> int:
@@ -80,7 +104,7 @@ class CoupledSystem:
     def _remember(self):
         ti.loop_config(serialize=True)
         for _ in range(ONE_TASK):
-            self.coupling.rest_enclosed[0] = self.cornea.enclosed_volume(0)
+            self.coupling.rest_enclosed[0] = self.cornea.enclosed_volume(0, self.cornea.place)
 
     @ti.kernel
     def _load(self, state: ti.types.ndarray()):
@@ -124,7 +148,7 @@ class CoupledSystem:
         """The state one step of dt [s] after `state`."""
         self._load(state)
         # as good as exact: the sweeps go on until nothing changes, and their limit is no failure here
-        self.coupling.setup(self.iterated, False, 1.0, 1e-14, self.sweeps_max)
+        self._set_coupling(self.iterated, 1e-14, self.sweeps_max)
         self.coupling.advance(np.zeros(1), dt, dt)
         after = np.empty_like(state)
         self._store(after)
@@ -133,7 +157,7 @@ class CoupledSystem:
     def run(self, state, dt: float, steps: int):
         """The state `steps` steps of dt [s] after `state`, as a run takes them; None where the coupling gave up."""
         self._load(state)
-        self.coupling.setup(self.iterated, False, 1.0, 1e-10, self.sweeps_max)
+        self._set_coupling(self.iterated, 1e-10, self.sweeps_max)
         self.coupling.advance(np.zeros(steps), dt, dt)
         if self.coupling.status[0] == NOT_CONVERGED:
             return None
@@ -147,7 +171,7 @@ class CoupledSystem:
         kick = np.sin(np.linspace(0.0, 9.0, self.walls)) + 1.0
         state[3 * self.count + 2 * self.walls + 1 : 3 * self.count + 4 * self.walls : 2] = 1e-3 * kick
         self._load(state)
-        self.coupling.setup(True, False, 1.0, tolerance, sweeps)
+        self._set_coupling(True, tolerance, sweeps)
         self.coupling.advance(np.zeros(1), dt, dt)
         return self.coupling.sweeps[0], self.coupling.worst_residual[0]
 

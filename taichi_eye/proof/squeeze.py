@@ -4,8 +4,8 @@ import numpy as np
 
 from taichi_eye.cloud.packing import FREE
 from taichi_eye.lang import ti
+from taichi_eye.proof.comparison import Comparison
 from taichi_eye.proof.domains import Vessel, vessel_cloud, with_kinds
-from taichi_eye.proof.rows import Row
 from taichi_eye.solver.aqueous import Aqueous
 
 
@@ -16,7 +16,13 @@ class _Gap:
     def __init__(self, cloud, density, sound_speed, basis):
         self.count = cloud.count
         self.aqueous = Aqueous(cloud.count, basis)
-        self.aqueous.setup(with_kinds(cloud, np.full(cloud.count, FREE)), density, 0.0, sound_speed, 0.5)
+        self.aqueous.setup(
+            with_kinds(cloud, np.full(cloud.count, FREE)),
+            density=density,
+            viscosity=0.0,
+            sound_speed=sound_speed,
+            dissipation=0.5,
+        )
         self.top_rest = ti.Vector.field(2, self.aqueous.place.dtype, cloud.count)
         self.top_place = ti.Vector.field(2, self.aqueous.place.dtype, cloud.count)
         self.top_velocity = ti.Vector.field(2, self.aqueous.place.dtype, cloud.count)
@@ -58,7 +64,7 @@ def squeeze(quick: bool = False):
             worst = np.maximum(worst, _rate_errors(cloud, density, c, basis))
         for name, error in zip(("acceleration", "divergence", "node place"), worst):
             rows.append(
-                Row(
+                Comparison(
                     "squeeze flow",
                     f"{name}, {basis} basis, worst node",
                     0.0,

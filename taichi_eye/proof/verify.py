@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 from taichi_eye.proof import added_mass, membranes, squeeze, viscous, waves
-from taichi_eye.proof.rows import Row
+from taichi_eye.proof.comparison import Comparison
 from taichi_eye.report.folder import create_run_folder, write_text
 from taichi_eye.report.page import draw, picture, table, write_page
 
@@ -36,7 +36,7 @@ def report(
     out: folder of the page (default: a new one under renders/); json_file: the rows as a list of objects.
     """
     folder = create_run_folder(out, "verify")
-    rows: list[Row] = []
+    rows: list[Comparison] = []
     parts = []
     say(_line(HEAD))
     for name in only or PARTS:
@@ -62,7 +62,7 @@ def _figure(value) -> str:
     return "" if value is None else "nan" if math.isnan(value) else f"{value:.6g}"
 
 
-def _cells(row: Row):
+def _cells(row: Comparison):
     return (
         row.problem,
         row.quantity,

@@ -7,9 +7,9 @@ from scipy.interpolate import CloughTocher2DInterpolator
 from scipy.special import j0, jv
 
 from taichi_eye.cloud.packing import WALL
+from taichi_eye.proof.comparison import Comparison, order
 from taichi_eye.proof.domains import Vessel, mirrored, no_slip_walls, slip_walls, tube_cloud, vessel_cloud, with_kinds
 from taichi_eye.proof.flow import Flow
-from taichi_eye.proof.rows import Row, order
 
 DISSIPATION = 0.5  # the solver's default
 
@@ -47,7 +47,7 @@ def poiseuille(quick: bool = False):
         _run(flow, 1.0 / j**2)
         exact = j0(j * r) * math.exp(-1.0)
         errors.append(np.linalg.norm(flow.velocity()[:, 1] - exact) / np.linalg.norm(exact))
-    row = Row(
+    row = Comparison(
         "Poiseuille decay",
         "axial velocity after one e-fold, L2",
         0.0,
@@ -106,7 +106,7 @@ def womersley(quick: bool = False):
                 right += (exact**2).sum()
             errors.append(math.sqrt(wrong / right))
         rows.append(
-            Row(
+            Comparison(
                 "Womersley",
                 f"axial velocity, alpha {alpha:g}, L2",
                 0.0,
@@ -153,7 +153,7 @@ def taylor_green(quick: bool = False):
         flow.set(shape, 0.25 * (np.cos(2 * x) + np.cos(2 * z)))
         _run(flow, span, nu=nu)
         errors.append(np.linalg.norm(flow.velocity() - decay * shape) / np.linalg.norm(decay * shape))
-    row = Row(
+    row = Comparison(
         "Taylor-Green",
         "velocity at t = 1, Re 100, L2",
         0.0,
@@ -330,7 +330,7 @@ def cavity(quick: bool = False):
             place, values = np.array(known).T
             error = float(np.abs(at(place) - values).max())
             rows.append(
-                Row(
+                Comparison(
                     "cavity",
                     f"{name}, Re {reynolds}, largest difference / U",
                     None,

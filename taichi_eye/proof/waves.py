@@ -9,11 +9,12 @@ from scipy.optimize import brentq
 from scipy.special import j0, j1, jn_zeros
 
 from taichi_eye.cloud.packing import pack
+from taichi_eye.eye.laws import LAWS
 from taichi_eye.eye.section import Section
+from taichi_eye.proof.comparison import Comparison, order
 from taichi_eye.proof.domains import Vessel, hemisphere_cloud, slip_walls, vessel_cloud
 from taichi_eye.proof.flow import Flow
 from taichi_eye.proof.membranes import dry_frequencies
-from taichi_eye.proof.rows import Row, order
 from taichi_eye.proof.spectrum import CoupledSystem, mode, step_matrix
 
 DISSIPATION = 0.5  # the solver's default
@@ -26,7 +27,7 @@ AREAL_MASS = WALL_DENSITY * THICKNESS
 def tissue(tension: float, k: float = 86.0, prestrain: float = 0.04, nu: float = 0.49):
     """Constants (A, s, nu, eps0) of the solver's tissue with a tension [N/m] at rest."""
     stress = tension / THICKNESS
-    return stress / (2.0 * k * prestrain * np.exp(2.0 * k * prestrain**2)), k / (1.0 + nu), nu, prestrain
+    return float(stress / (2.0 * k * prestrain * np.exp(2.0 * k * prestrain**2))), k / (1.0 + nu), nu, prestrain
 
 
 def _refine(system, clouds, exact, sound_speed, dissipation=DISSIPATION, **setup):
@@ -64,7 +65,7 @@ def _rows(problem, names, exact, spacings, frequencies, damping, limit, order_li
     # single errors change sign as they converge; their root mean square does not
     common = order(spacings, np.sqrt((errors**2).mean(1)))
     rows = [
-        Row(
+        Comparison(
             problem,
             f"{name} (Hz)",
             float(exact[m]),
@@ -230,7 +231,7 @@ def eye_modes(quick: bool = False):
     """
     exact, c = (308.7, 549.8, 803.7), 100.0
     radius, rim, iop, k, prestrain = 7.8e-3, 5.5e-3, 2000.0, 20.0, 0.03
-    a = iop * radius / (2.0 * THICKNESS) / (2.0 * k * prestrain * np.exp(2.0 * k * prestrain**2))
+    a = float(iop * radius / (2.0 * THICKNESS) / (2.0 * k * prestrain * np.exp(2.0 * k * prestrain**2)))
     section = Section(radius, rim, radius - np.sqrt(radius**2 - rim**2))
     spacings = (0.5e-3, 0.354e-3) if quick else (0.354e-3, 0.25e-3, 0.177e-3, 0.125e-3)
     clouds = [pack(section, spacing) for spacing in spacings]
@@ -283,11 +284,11 @@ def drop(quick: bool = False):
 
     clouds = [hemisphere_cloud(radius, spacing) for spacing in spacings]
     frequencies, damping = _refine(
-        _system(clouds, law="tension", rim="sliding_r"),
+        _system(clouds, law=LAWS["film"], rim="sliding_r"),
         clouds,
         exact,
         c,
-        **{**WALL, "iop": 2.0 * TENSION / radius, "material": (TENSION / THICKNESS, 0.0, 0.0, 0.0)},
+        **{**WALL, "iop": 2.0 * TENSION / radius, "material": (TENSION / THICKNESS, 0.0)},
     )
     rows, lines = _rows(
         "drop",

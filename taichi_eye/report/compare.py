@@ -34,6 +34,21 @@ class Measured:
     displacement_mm: np.ndarray
     notes: tuple[str, ...] = ()
 
+    def as_plain(self) -> dict:
+        """Lists and strings, for a JSON file."""
+        return {
+            **vars(self),
+            "time_ms": self.time_ms.tolist(),
+            "displacement_mm": self.displacement_mm.tolist(),
+            "notes": list(self.notes),
+        }
+
+    @classmethod
+    def from_plain(cls, plain: dict) -> Measured:
+        """What `as_plain` was given."""
+        time, displacement = np.array(plain["time_ms"]), np.array(plain["displacement_mm"])
+        return cls(plain["name"], plain["column"], time, displacement, tuple(plain["notes"]))
+
 
 def read_measured(path: str | Path) -> Measured:
     """Read a table with the columns time_ms and either apex_displacement_mm or deflection_mm, inward positive.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -10,6 +10,8 @@ import meshio
 import numpy as np
 
 from taichi_eye.report.folder import replacing, write_text
+
+PARTS = "fluid", "membrane"
 
 
 class ParaviewWriter:
@@ -19,12 +21,11 @@ class ParaviewWriter:
     are (r, z, 0) in metres, vectors likewise; the time of the collection is in ms.
     """
 
-    def __init__(self, folder: Path):
-        """Creates `folder`."""
+    def __init__(self, folder: Path, times_ms: Iterable[float] = ()):
+        """Creates `folder`; times_ms: those of the frames that it holds already, the later ones being made anew."""
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
-        self._entries: list[str] = []
-        self._count = 0
+        self.times_ms = list(times_ms)
 
     def add_frame(
         self,
@@ -42,9 +43,10 @@ class ParaviewWriter:
         their units.
         """
         line = np.column_stack([np.arange(len(membrane) - 1), np.arange(1, len(membrane))])
-        parts = (("fluid", nodes, "triangle", triangles, fields), ("membrane", membrane, "line", line, membrane_fields))
-        for index, (part, points, kind, cells, data) in enumerate(parts):
-            name = f"{part}-{self._count:04d}.vtu"
+        fluid, wall = PARTS
+        parts = (fluid, nodes, "triangle", triangles, fields), (wall, membrane, "line", line, membrane_fields)
+        for part, points, kind, cells, data in parts:
+            name = _file(part, len(self.times_ms))
             mesh = meshio.Mesh(
                 _flat(points),
                 [(kind, np.asarray(cells))],
@@ -52,11 +54,13 @@ class ParaviewWriter:
             )
             with replacing(self._folder / name) as temporary:
                 mesh.write(temporary, file_format="vtu")
-            self._entries.append(
-                f'    <DataSet timestep="{float(time_ms)!r}" group="" part="{index}" '
-                f"name={quoteattr(part)} file={quoteattr(name)}/>"
-            )
-        self._count += 1
+        self.times_ms.append(float(time_ms))
+        entries = [
+            f'    <DataSet timestep="{time!r}" group="" part="{index}" '
+            f"name={quoteattr(part)} file={quoteattr(_file(part, frame))}/>"
+            for frame, time in enumerate(self.times_ms)
+            for index, part in enumerate(PARTS)
+        ]
         write_text(
             self._folder / "fields.pvd",
             "\n".join(
@@ -64,13 +68,17 @@ class ParaviewWriter:
                     '<?xml version="1.0"?>',
                     '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">',
                     "  <Collection>",
-                    *self._entries,
+                    *entries,
                     "  </Collection>",
                     "</VTKFile>",
                     "",
                 ]
             ),
         )
+
+
+def _file(part: str, frame: int) -> str:
+    return f"{part}-{frame:04d}.vtu"
 
 
 def _flat(values: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
@@ -36,11 +37,20 @@ WHOLE = ("coupling_iterations",)
 
 def write_traces(path: Path, traces: Mapping[str, np.ndarray]) -> None:
     """Write the columns COLUMNS, arrays of one length [samples], to full precision; the file is whole or absent."""
-    columns = [np.asarray(traces[name]).astype(int if name in WHOLE else float).tolist() for name in COLUMNS]
     with replacing(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(COLUMNS)
-        rows.writerows(zip(*columns, strict=True))
+        csv.writer(file, lineterminator="\n").writerow(COLUMNS)
+        _write_rows(file, traces, 0)
+
+
+def append_traces(path: Path, traces: Mapping[str, np.ndarray], first: int) -> None:
+    """Add the rows from `first` on to a file of `write_traces`."""
+    with open(path, "a", encoding="utf-8", newline="") as file:
+        _write_rows(file, traces, first)
+
+
+def _write_rows(file: TextIO, traces: Mapping[str, np.ndarray], first: int) -> None:
+    columns = [np.asarray(traces[name])[first:].astype(int if name in WHOLE else float).tolist() for name in COLUMNS]
+    csv.writer(file, lineterminator="\n").writerows(zip(*columns, strict=True))
 
 
 def read_traces(path: Path) -> dict[str, np.ndarray]:

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import difflib
-import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from taichi_eye.errors import SceneError
-from taichi_eye.scene.draft import Draft, written
-from taichi_eye.scene.resolve import resolve
-from taichi_eye.scene.schema import AUTO, SECTIONS, Key, Scene, all_keys, keys_of
+from taichi_eye.scene.draft import CHANGE, FILE, Draft, hint_section, written
+from taichi_eye.scene.scene import Scene
+from taichi_eye.scene.schema import AUTO, SECTIONS, keys_of
 from taichi_eye.scene.table import read_text
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
-
-_KIND_WORDS = {float: "a number", int: "a whole number", bool: "true or false", str: "a string"}
 
 
 def load_scene(path: str | Path | None = None, overrides: Sequence[str] = ()) -> Scene:
@@ -36,27 +32,25 @@ def load_scene(path: str | Path | None = None, overrides: Sequence[str] = ()) ->
         _read_file(draft, Path(path))
     for override in overrides:
         _read_override(draft, override)
-    draft.stop_if_refused()
-    for name, _, spec in all_keys():
-        draft.values.setdefault(name, spec.default)
-    resolve(draft)
-    return Scene(
-        **{
-            section: build(**{name: draft[f"{section}.{name}"] for name in keys_of(section)})
-            for section, build in SECTIONS.items()
-        }
-    )
+    return Scene.of(draft)
 
 
 def dump_scene(scene: Scene) -> str:
-    """TOML text of a scene, every key spelled out with its explanation; `load_scene` on it gives an equal Scene."""
-    lines = ["# A taichi_eye scene, every key spelled out."]
+    """TOML text of a scene, every key spelled out with its explanation; `load_scene` on it gives an equal Scene.
+
+    A key that was computed stands there as "auto", its value in the comment: whoever edits what it depends on gets it
+    computed anew.
+    """
+    lines = ["# A taichi_eye scene, every key spelled out; what is computed is computed again where it says auto."]
     for section in SECTIONS:
         lines += ["", f"[{section}]" + f"{'':{34 - len(section)}}# {SECTIONS[section].__doc__}"]
         for name, (_, spec) in keys_of(section).items():
             allowed = ", ".join(part for part in (spec.unit, spec.bounds()) if part)
+            value = written(getattr(getattr(scene, section), name))
             doc = spec.doc + (f" [{allowed}]" if allowed else "")
-            lines.append(f"{f'{name} = {written(getattr(getattr(scene, section), name))}':35} # {doc}")
+            if spec.computed and f"{section}.{name}" not in scene.given:
+                value, doc = written(AUTO), f"here {value}; {doc}"
+            lines.append(f"{f'{name} = {value}':35} # {doc}")
     return "\n".join(lines) + "\n"
 
 
@@ -79,15 +73,15 @@ def _read_file(draft: Draft, path: Path) -> None:
             wanted = (
                 f"must be a table, [{section}]"
                 if section in SECTIONS
-                else f"a key must stand in a section{_hint_section(section, section)}"
+                else f"a key must stand in a section{hint_section(section, section)}"
             )
             draft.problems.append(f"{path}: {section} = {written(table)}: {wanted}")
             continue
         if section not in SECTIONS:
-            draft.problems.append(f"{path}: [{section}]: unknown section{_hint_section(section, '')}")
+            draft.problems.append(f"{path}: [{section}]: unknown section{hint_section(section, '')}")
             continue
         for name, value in table.items():
-            _put(draft, f"{path}: ", section, name, value, "file")
+            draft.put(f"{section}.{name}", value, FILE)
 
 
 def _read_override(draft: Draft, override: str) -> None:
@@ -101,7 +95,7 @@ def _read_override(draft: Draft, override: str) -> None:
         value = parsed["value"] if len(parsed) == 1 else text
     except ValueError:
         value = _bare(text.strip())
-    _put(draft, "--set ", *parts, value, "--set")
+    draft.put(".".join(parts), value, CHANGE)
 
 
 def _bare(text: str) -> float | str:
@@ -110,84 +104,3 @@ def _bare(text: str) -> float | str:
         return float(text)
     except ValueError:
         return text
-
-
-def _put(draft: Draft, source: str, section: str, name: str, value: Any, origin: str) -> None:
-    """Check one value on its own and take it over, or record what is wrong with it."""
-    full = f"{section}.{name}"
-    if section not in SECTIONS:
-        draft.problems.append(
-            f"{source}{full} = {written(value)}: unknown section [{section}]{_hint_section(section, name)}"
-        )
-        return
-    if name not in keys_of(section):
-        draft.problems.append(f"{source}{full} = {written(value)}: unknown key{_hint_key(section, name)}")
-        return
-    kind, spec = keys_of(section)[name]
-    converted = _convert(kind, spec, value)
-    if converted is None:
-        draft.problems.append(f"{source}{full} = {written(value)}: must be {_allowed(kind, spec)}")
-        return
-    if full == "puff.file" and converted:
-        base = Path() if origin == "--set" or draft.file is None else Path(draft.file).parent
-        converted = str((base / converted).absolute())
-    draft.values[full] = converted
-    draft.origin[full] = origin
-
-
-def _convert(kind: type, spec: Key, value: Any) -> Any:
-    """The value as the key's type, or None where it has another type or lies outside the limits."""
-    if spec.computed and value == AUTO:
-        return AUTO
-    if isinstance(value, bool) != (kind is bool):
-        return None
-    if kind is float and isinstance(value, int):
-        try:
-            value = float(value)
-        except OverflowError:
-            return None
-    if not isinstance(value, kind) or isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, str) and not _encodable(value):
-        return None
-    return value if spec.holds(value) else None
-
-
-def _encodable(text: str) -> bool:
-    """Whether a string can stand in a UTF-8 file (a path of the command line may not) and name a file."""
-    try:
-        text.encode()
-    except UnicodeEncodeError:
-        return False
-    return "\0" not in text
-
-
-def _allowed(kind: type, spec: Key) -> str:
-    words = (
-        f"one of {spec.bounds()}"
-        if spec.choices
-        else " ".join(
-            part for part in (_KIND_WORDS[kind], spec.unit and f"in {spec.unit},", spec.bounds()) if part
-        ).rstrip(",")
-    )
-    return words + (' or "auto"' if spec.computed else "")
-
-
-def _hint_section(section: str, name: str) -> str:
-    """Where an unknown section, or a key that stands outside any section, may belong."""
-    owners = [s for s in SECTIONS if name in keys_of(s)]
-    if owners:
-        return f"; {name} is a key of {' and '.join(f'[{s}]' for s in owners)}"
-    return f"{_nearest(section, list(SECTIONS))} (sections: {', '.join(SECTIONS)})"
-
-
-def _hint_key(section: str, name: str) -> str:
-    owners = [s for s in SECTIONS if name in keys_of(s)]
-    if owners:
-        return f"; it is a key of {' and '.join(f'[{s}]' for s in owners)}"
-    return f"{_nearest(name, list(keys_of(section)))} (keys of [{section}]: {', '.join(keys_of(section))})"
-
-
-def _nearest(name: str, names: list[str]) -> str:
-    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-    return f"; did you mean {close[0]}?" if close else ""

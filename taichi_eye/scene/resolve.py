@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 from taichi_eye.errors import SceneError
+from taichi_eye.rungs import refresh_travel
+from taichi_eye.scene.budget import refuse_costly
 from taichi_eye.scene.calibration import (
     DEFAULT_A_PA,
     DEFAULT_K,
@@ -14,7 +17,7 @@ from taichi_eye.scene.calibration import (
     solve_prestrain,
     solve_stiffness,
 )
-from taichi_eye.scene.draft import Draft
+from taichi_eye.scene.draft import CHANGE, Draft
 from taichi_eye.scene.schema import AUTO, all_keys
 from taichi_eye.scene.table import read_puff_file
 from taichi_eye.units import MM, MMHG
@@ -22,7 +25,6 @@ from taichi_eye.units import MM, MMHG
 CONSISTENT = 1e-6  # relative agreement asked of keys that determine each other
 NODES_MAX = 200_000  # of the fluid: beyond it a run would take days
 SPACINGS_DEEP = 4  # the chamber on the axis is at least so many spacings deep
-REFRESH_TRAVEL = 0.05, 0.5  # mfpm, added_mass
 LENS_CLEARANCE = 2  # spacings between lens and cornea at rest
 
 
@@ -42,8 +44,10 @@ def resolve(draft: Draft) -> None:
     _puff(draft)
     _camera(draft)
     for name, _, spec in all_keys():
-        if spec.computed and not spec.holds(draft[name]):
+        if draft.within_limits and spec.computed and not spec.holds(draft[name]):
             draft.refuse(f"computed from the other keys, must be {spec.bounds()}", name)
+    draft.stop_if_refused()
+    refuse_costly(draft)
     draft.stop_if_refused()
 
 
@@ -56,7 +60,7 @@ def _exponent(draft: Draft) -> None:
     elif draft.given(s) and abs(draft[s] * (1.0 + draft[nu]) - draft[k]) > CONSISTENT * draft[k]:
         draft.refuse(
             f"k = s (1 + nu) does not hold; give one of the two and leave the other out, or set it to "
-            f'"auto" (--set {s if draft.origin[k] == "--set" else k}=auto)',
+            f'"auto" (--set {s if draft.origin[k] == CHANGE else k}=auto)',
             k,
             s,
             nu,
@@ -98,13 +102,10 @@ def _tissue(draft: Draft) -> None:
 
 def _chamber(draft: Draft) -> None:
     """The depth of the chamber, the room for a lens cap, and a node spacing that suits both."""
-    radius, limbus = draft["cornea.radius_mm"], draft["cornea.limbus_radius_mm"]
-    centre = math.sqrt(radius**2 - limbus**2)  # of the corneal sphere, below the limbus plane
-    cap = radius - centre
+    cap = _cap_depth(draft.values)
     if draft["chamber.depth_mm"] == AUTO:
         draft.values["chamber.depth_mm"] = cap
-    depth = draft["chamber.depth_mm"]
-    if depth < cap:
+    if draft["chamber.depth_mm"] < cap:
         draft.refuse(
             f"the chamber must reach the limbus plane: at least the cap depth {cap!r} mm, or "
             '"auto" (--set chamber.depth_mm=auto)',
@@ -112,18 +113,98 @@ def _chamber(draft: Draft) -> None:
             "cornea.radius_mm",
             "cornea.limbus_radius_mm",
         )
-        return
+    elif _lens_fits(draft) and draft.within_limits:
+        _spacing(draft)
+
+
+def _cap_depth(values: Mapping[str, float]) -> float:
+    """From the apex at rest to the limbus plane [mm]."""
+    return values["cornea.radius_mm"] - _sphere_depth(values)
+
+
+def _sphere_depth(values: Mapping[str, float]) -> float:
+    """Depth [mm] of the centre of the corneal sphere below the limbus plane."""
+    return math.sqrt(values["cornea.radius_mm"] ** 2 - values["cornea.limbus_radius_mm"] ** 2)
+
+
+def _segment(radius: float, angle: float) -> float:
+    """Half the area [mm^2] that an arc of a half angle [rad] cuts from a disc of a radius [mm]."""
+    return 0.5 * radius**2 * (angle - math.sin(angle) * math.cos(angle))
+
+
+def _has_lens(values: Mapping[str, float]) -> bool:
+    return bool(values["chamber.lens_radius_mm"] or values["chamber.lens_height_mm"])
+
+
+def _lens_base(values: Mapping[str, float]) -> float:
+    """Radius [mm] of the circle in which the lens cap stands on the back plane."""
+    height = values["chamber.lens_height_mm"]
+    return math.sqrt(height * (2.0 * values["chamber.lens_radius_mm"] - height))
+
+
+def _lens_fits(draft: Draft) -> bool:
+    """Whether there is no lens cap, or one that can stand on the back plane; what is wrong with it is recorded."""
+    if not _has_lens(draft.values):
+        return True
+    names = "chamber.lens_radius_mm", "chamber.lens_height_mm"
+    radius, height = (draft[name] for name in names)
+    if not 0 < height < radius:
+        draft.refuse("a lens cap needs both, the height below the radius (both 0: no lens)", *names)
+        return False
+    if not _lens_base(draft.values) < draft["cornea.limbus_radius_mm"]:
+        draft.refuse(
+            f"the base of the lens cap, {_lens_base(draft.values):.4g} mm in radius, must lie inside the limbus radius",
+            *names,
+            "cornea.limbus_radius_mm",
+        )
+        return False
+    return True
+
+
+def _lens_gap(values: Mapping[str, float]) -> float:
+    """What the lens cap leaves free [mm] before the cornea at rest; infinite without one."""
+    if not _has_lens(values):
+        return math.inf
+    # the point of a circular arc that is farthest from a point of its axis is its pole or its rim
+    back = _cap_depth(values) - values["chamber.depth_mm"] + _sphere_depth(values)
+    farthest = max(abs(back + values["chamber.lens_height_mm"]), math.hypot(_lens_base(values), back))
+    return values["cornea.radius_mm"] - farthest
+
+
+def _room(values: Mapping[str, float]) -> float:
+    """Depth of the liquid on the axis [mm]."""
+    return values["chamber.depth_mm"] - values["chamber.lens_height_mm"]
+
+
+def coarsest_spacing_mm(values: Mapping[str, float]) -> float:
+    """The widest numerics.spacing_mm that a chamber takes; values: by "section.key", as `Scene.values` has them."""
+    return min(_room(values) / SPACINGS_DEEP, _lens_gap(values) / LENS_CLEARANCE)
+
+
+def _section_area(values: Mapping[str, float]) -> float:
+    """Area [mm^2] of the liquid's half section, where the nodes are."""
+    radius, limbus = values["cornea.radius_mm"], values["cornea.limbus_radius_mm"]
+    area = _segment(radius, math.asin(limbus / radius)) + limbus * (values["chamber.depth_mm"] - _cap_depth(values))
+    if _has_lens(values):
+        lens, height = values["chamber.lens_radius_mm"], values["chamber.lens_height_mm"]
+        area -= _segment(lens, math.acos(1.0 - height / lens))
+    return area
+
+
+def _spacing(draft: Draft) -> None:
+    """Enough nodes in the chamber and not too many."""
     spacing = draft["numerics.spacing_mm"]
-    angle = math.asin(limbus / radius)
-    area = 0.5 * radius**2 * (angle - math.sin(angle) * math.cos(angle)) + limbus * (depth - cap)
-    room = depth
-    if draft["chamber.lens_radius_mm"] or draft["chamber.lens_height_mm"]:
-        lens = _lens(draft, centre, cap - depth)
-        if lens is None:
-            return
-        area -= lens
-        room -= draft["chamber.lens_height_mm"]
-    if area > NODES_MAX * spacing**2:
+    area, room, gap = (measure(draft.values) for measure in (_section_area, _room, _lens_gap))
+    if gap < LENS_CLEARANCE * spacing:
+        draft.refuse(
+            f"the lens cap comes within {gap:.4g} mm of the cornea at rest; at least {LENS_CLEARANCE} "
+            f"spacings, {LENS_CLEARANCE * spacing:.4g} mm, must stay free",
+            "chamber.lens_radius_mm",
+            "chamber.lens_height_mm",
+            "chamber.depth_mm",
+            "numerics.spacing_mm",
+        )
+    elif area > NODES_MAX * spacing**2:
         draft.refuse(
             f"some {area / spacing**2:.3g} nodes; at most {NODES_MAX} are allowed, "
             f"so at least {math.sqrt(area / NODES_MAX):.4g} mm",
@@ -151,44 +232,10 @@ def _sound_speeds(draft: Draft) -> None:
         )
 
 
-def _lens(draft: Draft, centre: float, back: float) -> float | None:
-    """Half the area of the lens cap's section [mm^2]; None where the cap cannot stand in the chamber.
-
-    centre: depth of the centre of the corneal sphere below the limbus plane, back: height of the back plane [mm].
-    """
-    names = "chamber.lens_radius_mm", "chamber.lens_height_mm"
-    radius, height = (draft[name] for name in names)
-    if not 0 < height < radius:
-        draft.refuse("a lens cap needs both, the height below the radius (both 0: no lens)", *names)
-        return None
-    base = math.sqrt(height * (2.0 * radius - height))
-    if not base < draft["cornea.limbus_radius_mm"]:
-        draft.refuse(
-            f"the base of the lens cap, {base:.4g} mm in radius, must lie inside the limbus radius",
-            *names,
-            "cornea.limbus_radius_mm",
-        )
-        return None
-    # the point of a circular arc that is farthest from a point of its axis is its pole or its rim
-    farthest = max(abs(back + height + centre), math.hypot(base, back + centre))
-    gap, spacing = draft["cornea.radius_mm"] - farthest, draft["numerics.spacing_mm"]
-    if gap < LENS_CLEARANCE * spacing:
-        draft.refuse(
-            f"the lens cap comes within {gap:.4g} mm of the cornea at rest; at least {LENS_CLEARANCE} "
-            f"spacings, {LENS_CLEARANCE * spacing:.4g} mm, must stay free",
-            *names,
-            "chamber.depth_mm",
-            "numerics.spacing_mm",
-        )
-        return None
-    angle = math.acos(1.0 - height / radius)
-    return 0.5 * radius**2 * (angle - math.sin(angle) * math.cos(angle))
-
-
 def _numerics(draft: Draft) -> None:
     """How often operators or flow maps are made anew, by what they are for."""
     if draft["numerics.refresh_travel"] == AUTO:
-        draft.values["numerics.refresh_travel"] = REFRESH_TRAVEL[draft["numerics.fidelity"] == "added_mass"]
+        draft.values["numerics.refresh_travel"] = refresh_travel(draft["numerics.fidelity"])
 
 
 def _puff(draft: Draft) -> None:

@@ -7,7 +7,10 @@ documentation all read the `Key` that stands in the field's metadata. To add a k
 # No `from __future__ import annotations` here: the loader reads the field types as classes.
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
+from functools import cache
 from typing import Any
+
+from taichi_eye.rungs import RUNGS
 
 AUTO = "auto"  # as a value: compute this key from the others
 
@@ -19,7 +22,6 @@ class Key:
     default: Any
     doc: str
     unit: str = ""
-    above: float | None = None
     at_least: float | None = None
     below: float | None = None
     at_most: float | None = None
@@ -34,9 +36,7 @@ class Key:
         if self.choices:
             return value in self.choices
         return not (
-            self.above is not None
-            and not value > self.above
-            or self.at_least is not None
+            self.at_least is not None
             and not value >= self.at_least
             or self.below is not None
             and not value < self.below
@@ -45,10 +45,10 @@ class Key:
         )
 
     def bounds(self) -> str:
-        """The allowed values in words, e.g. "> 0 and <= 100"; empty where anything goes."""
+        """The allowed values in words, e.g. ">= 1 and <= 100"; empty where anything goes."""
         if self.choices:
             return " | ".join(f'"{c}"' for c in self.choices)
-        pairs = ((">", self.above), (">=", self.at_least), ("<", self.below), ("<=", self.at_most))
+        pairs = ((">=", self.at_least), ("<", self.below), ("<=", self.at_most))
         return " and ".join(f"{sign} {value:.12g}" for sign, value in pairs if value is not None)
 
 
@@ -71,11 +71,11 @@ class Eye:
 class Cornea:
     """A spherical cap, reduced to a membrane; W = A [exp(s ((1-nu)(e1^2+e2^2) + nu (e1+e2)^2)) - 1]"""
 
-    radius_mm: float = key(7.8, "radius of the cap at rest (R)", unit="mm", above=0, at_most=100)
-    limbus_radius_mm: float = key(5.8, "radius of the fixed rim, below radius_mm", unit="mm", above=0, below=100)
-    thickness_mm: float = key(0.55, "thickness (h), on the axis", unit="mm", above=0, at_most=2)
+    radius_mm: float = key(7.8, "radius of the cap at rest (R)", unit="mm", at_least=0.5, at_most=100)
+    limbus_radius_mm: float = key(5.8, "radius of the fixed rim, below radius_mm", unit="mm", at_least=0.1, below=100)
+    thickness_mm: float = key(0.55, "thickness (h), on the axis", unit="mm", at_least=0.01, at_most=2)
     limbus_thickness_mm: float = key(
-        AUTO, "thickness at the rim, a parabola in between; auto: that on the axis", unit="mm", above=0, at_most=2
+        AUTO, "thickness at the rim, a parabola in between; auto: that on the axis", unit="mm", at_least=0.01, at_most=2
     )
     flexural_modulus_mpa: float = key(
         0.0,
@@ -92,15 +92,18 @@ class Cornea:
     )
     density_kg_m3: float = key(1050.0, "density of the tissue", unit="kg/m^3", at_least=100, at_most=10000)
     stiffness_a_pa: float = key(
-        AUTO, "energy scale A; auto: 1562, or what k and the prestrain ask for", unit="Pa", above=0, at_most=1e9
+        AUTO, "energy scale A; auto: 1562, or what k and the prestrain ask for", unit="Pa", at_least=1e-3, at_most=1e9
     )
     exponent_k: float = key(
-        AUTO, "k = s (1 + nu); auto: 86.1, or from s, or what A and the prestrain ask for", above=0, at_most=1e5
+        AUTO, "k = s (1 + nu); auto: 86.1, or from s, or what A and the prestrain ask for", at_least=1e-3, at_most=1e5
     )
-    exponent_s: float = key(AUTO, "s = k / (1 + nu); auto: from k", above=0, at_most=1e5)
+    exponent_s: float = key(AUTO, "s = k / (1 + nu); auto: from k", at_least=5e-4, at_most=1e5)
     poisson_ratio: float = key(0.49, "in-plane coupling nu", at_least=0, at_most=0.5)
     prestrain: float = key(
-        AUTO, "Green-Lagrange prestrain eps0; auto: such that the wall carries the IOP at rest", above=0, at_most=0.5
+        AUTO,
+        "Green-Lagrange prestrain eps0; auto: such that the wall carries the IOP at rest",
+        at_least=1e-6,
+        at_most=0.5,
     )
 
 
@@ -116,7 +119,7 @@ class Chamber:
         AUTO,
         "apex to back plane on the axis, at least the cap depth; auto: the cap depth",
         unit="mm",
-        above=0,
+        at_least=0.01,
         at_most=100,
     )
     compliance_mm3_mmhg: float = key(
@@ -161,11 +164,11 @@ class PuffLoad:
     peak_kpa: float = key(
         10.0, "largest pressure at the apex; a file brings its own", unit="kPa", at_least=0, at_most=100
     )
-    duration_ms: float = key(30.0, "T of the gaussian course, centred at T/2", unit="ms", above=0, at_most=1000)
-    spread_b: float = key(25.0, "b of the gaussian course exp(-b (2t-T)^2/(4T^2))", above=0, at_most=1e4)
+    duration_ms: float = key(30.0, "T of the gaussian course, centred at T/2", unit="ms", at_least=1e-3, at_most=1000)
+    spread_b: float = key(25.0, "b of the gaussian course exp(-b (2t-T)^2/(4T^2))", at_least=1e-3, at_most=1e4)
     spread_a: float = key(21.5, "a of the paper's radial profile exp(-a sin^2 phi)", at_least=0, at_most=1e4)
     radial_profile: str = key("paper", "exp(-a sin^2 phi), or exp(-r^2/w^2)", choices=("paper", "gaussian"))
-    width_mm: float = key(1.2, "w of the gaussian radial profile", unit="mm", above=0, at_most=100)
+    width_mm: float = key(1.2, "w of the gaussian radial profile", unit="mm", at_least=0.01, at_most=100)
     file: str = key("", "CSV with columns time_ms,pressure_kpa, relative to the scene file; zero outside its times")
 
 
@@ -178,7 +181,7 @@ class Numerics:
         "model of the liquid: none, IOP constant; uniform pressure of the sealed chamber; added mass "
         "of potential flow; the resolved flow; or the cheapest of them that keeps the tolerance, at a "
         "spacing and sound speed that do",
-        choices=("membrane", "cavity", "added_mass", "mfpm", "auto"),
+        choices=(*RUNGS, "auto"),
     )
     tolerance_percent: float = key(
         1.0,
@@ -192,7 +195,7 @@ class Numerics:
         "for auto: what the tolerance holds for; pressure: that under the apex as well",
         choices=("apex", "pressure"),
     )
-    spacing_mm: float = key(0.1, "node spacing of the fluid", unit="mm", above=0, at_most=10)
+    spacing_mm: float = key(0.1, "node spacing of the fluid", unit="mm", at_least=1e-3, at_most=10)
     basis: str = key("quadratic", "Taylor basis of the mesh-free operators", choices=("quadratic", "cubic"))
     sound_speed_m_s: float = key(
         80.0, "numerical speed of sound; its compliance deepens the dent as c^-2", unit="m/s", at_least=1, at_most=2000
@@ -205,7 +208,7 @@ class Numerics:
         at_least=1,
         at_most=2000,
     )
-    cfl: float = key(0.8, "factor on the stable time step", above=0, at_most=1)
+    cfl: float = key(0.8, "factor on the stable time step", at_least=0.01, at_most=1)
     dissipation: float = key(
         0.5, "fourth-difference dissipation of p and u, in units of c h; unstable below 0.3", at_least=0, at_most=1
     )
@@ -216,17 +219,17 @@ class Numerics:
         choices=("iterated", "loose"),
     )
     relaxation: str = key("aitken", "relaxation of the coupling iteration", choices=("aitken", "fixed"))
-    relaxation_factor: float = key(1.0, "relaxation factor, the first one with aitken", above=0, at_most=2)
-    coupling_tolerance: float = key(1e-8, "relative residual at which the iteration ends", above=0, at_most=0.1)
+    relaxation_factor: float = key(1.0, "relaxation factor, the first one with aitken", at_least=0.01, at_most=2)
+    coupling_tolerance: float = key(1e-8, "relative residual at which the iteration ends", at_least=1e-15, at_most=0.1)
     coupling_iterations_max: int = key(20, "the run stops where a step needs more", at_least=1, at_most=1000)
     refresh_travel: float = key(
         AUTO,
         "travel of the cornea, in spacings, after which operator weights (mfpm) or the flow's "
         "map (added_mass) are made anew; auto: 0.05, and 0.5",
-        above=0,
+        at_least=1e-4,
         at_most=10,
     )
-    duration_ms: float = key(32.0, "simulated time", unit="ms", above=0, at_most=1000)
+    duration_ms: float = key(32.0, "simulated time", unit="ms", at_least=1e-3, at_most=1000)
 
 
 @dataclass(frozen=True)
@@ -239,13 +242,13 @@ class Camera:
     colour_by: str = key("pressure", "colour of the nodes", choices=("pressure", "speed"))
     width_px: int = key(576, "width of the slit image, even", unit="px", at_least=64, at_most=4096)
     height_px: int = key(200, "height of the slit image, even", unit="px", at_least=64, at_most=4096)
-    pixel_x_mm: float = key(0.015625, "width of a pixel", unit="mm", above=0, at_most=1)
-    pixel_y_mm: float = key(0.0165, "height of a pixel", unit="mm", above=0, at_most=1)
-    frame_interval_ms: float = key(0.2315, "time between frames", unit="ms", above=0, at_most=1000)
+    pixel_x_mm: float = key(0.015625, "width of a pixel", unit="mm", at_least=1e-4, at_most=1)
+    pixel_y_mm: float = key(0.0165, "height of a pixel", unit="mm", at_least=1e-4, at_most=1)
+    frame_interval_ms: float = key(0.2315, "time between frames", unit="ms", at_least=1e-3, at_most=1000)
     frame_count: int = key(
         AUTO, "frames, the first at rest; as many as fit into numerics.duration_ms", at_least=1, at_most=100000
     )
-    angle_deg: float = key(45.0, "camera axis to slit plane", unit="deg", above=0, below=90)
+    angle_deg: float = key(45.0, "camera axis to slit plane", unit="deg", at_least=1, at_most=89)
     refractive_index: float = key(1.376, "of the cornea; shortens what lies behind its front", at_least=1, at_most=2)
     apex_column_px: int = key(288, "image column of the axis", unit="px", at_least=0, at_most=4095)
     apex_row_px: int = key(16, "image row of the apex at rest", unit="px", at_least=0, at_most=4095)
@@ -271,11 +274,19 @@ class Output:
     png_frames: bool = key(False, "also every frame as a PNG")
     gif: bool = key(False, "also a small looping GIF of the film")
     node_fields: bool = key(False, "also the fields at every frame for ParaView")
+    checkpoint_s: float = key(
+        5.0,
+        "a checkpoint, from which the run can be resumed, after so long, or longer where they would cost more than "
+        "2 % of the run; 0: wherever the film can be cut",
+        unit="s",
+        at_least=0,
+        at_most=1e6,
+    )
 
 
 @dataclass(frozen=True)
-class Scene:
-    """A resolved scene: one attribute per section, each with one attribute per key, all values filled in."""
+class Sections:
+    """One attribute per section, each with one attribute per key; `taichi_eye.scene.scene.Scene` fills them in."""
 
     eye: Eye
     cornea: Cornea
@@ -287,9 +298,10 @@ class Scene:
     output: Output
 
 
-SECTIONS: dict[str, type] = {section.name: section.type for section in fields(Scene)}
+SECTIONS: dict[str, type] = {section.name: section.type for section in fields(Sections)}
 
 
+@cache
 def keys_of(section: str) -> dict[str, tuple[type, Key]]:
     """The keys of a section by name: (type, Key)."""
     return {f.name: (f.type, f.metadata["key"]) for f in fields(SECTIONS[section])}

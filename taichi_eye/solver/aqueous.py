@@ -51,6 +51,7 @@ from taichi_eye.cloud.packing import FIXED, FREE, SLIDE, WALL, Cloud
 from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.mfpm.neighbours import NeighbourLists
 from taichi_eye.mfpm.operators import CONDITION_LIMIT, SEARCH_RADIUS, STENCIL, WIDTH, MfpmOperators
+from taichi_eye.solver.globe import Globe
 
 CORNERS = 12  # triangles that may meet in a node
 
@@ -92,7 +93,10 @@ class Aqueous:
         self.slopes = self.velocity_gradient
         if basis != "quadratic":
             self.slopes, self.pressure_gradient = ti.Matrix.field(2, 2, fp, capacity), vector()
-        # what the two passes of a step gather from a node, see `row_of_velocity` and `row_of_scalar`
+        # what the two passes of a step gather from a node, laid side by side so that a neighbour is one access to
+        # memory:
+        # momentum_row (p - mu/3 div u, and u less its slope) by `kick`, continuity_row (p and its gradient) by
+        # `compress`
         self.momentum_row, self.continuity_row = (ti.Vector.field(4, fp, capacity) for _ in range(2))
         self.outflow_loss = scalar()
         self.triangle_count = ti.field(ti.i32, eyes)
@@ -102,15 +106,39 @@ class Aqueous:
         self.corner_count = ti.field(ti.i32, capacity)
         self.density0, self.viscosity, self.sound_speed, self.mean_speed = (ti.field(fp, eyes) for _ in range(4))
         self.dissipation_length = ti.field(fp, eyes)  # alpha c h [m^2/s]
-        self.rest_volume, self.last_volume, self.compliance = (ti.field(fp, eyes) for _ in range(3))
-        # of the rest of the globe: its delay [s], the volume it has taken up [m^3], work done on it [J], last mean
-        # pressure [Pa]
-        self.globe_delay, self.taken_up, self.globe_work, self.mean_pressure = (ti.field(fp, eyes) for _ in range(4))
+        self.rest_volume, self.last_volume = ti.field(fp, eyes), ti.field(fp, eyes)
+        self.globe = Globe(eyes)
         self.pressure_shift = ti.field(fp, eyes)
+
+    def evolving(self) -> dict:
+        """The fields of nodes that evolve and that a step reads, by name (`taichi_eye.solver.state`)."""
+        names = [
+            "velocity",
+            "pressure",
+            "laplacian",
+            "divergence",
+            "velocity_gradient",
+            "momentum_row",
+            "continuity_row",
+        ]
+        names += ["viscous_loss", "numerical_loss", "outflow_loss"]
+        if self.basis != "quadratic":
+            names += ["slopes", "pressure_gradient"]
+        return {f"aqueous_{name}": getattr(self, name) for name in names}
+
+    def evolving_of_eyes(self) -> dict:
+        """The same of eyes."""
+        return {
+            "outflow": self.outflow,
+            "last_volume": self.last_volume,
+            "pressure_shift": self.pressure_shift,
+            **self.globe.evolving(),
+        }
 
     def setup(
         self,
         cloud: Cloud,
+        *,
         density: float,
         viscosity: float,
         sound_speed: float,
@@ -149,20 +177,20 @@ class Aqueous:
             first,
         )
         self._load_chamber(
-            cloud.triangles,
-            cloud.wall_count,
-            cloud.section.volume(),
-            density,
-            viscosity,
-            sound_speed,
-            dissipation * sound_speed * cloud.spacing,
-            no_slip,
-            sealed,
-            compliance,
-            globe_delay,
-            mean_speed or sound_speed,
-            eye,
-            first,
+            triangles=cloud.triangles,
+            wall_count=cloud.wall_count,
+            volume=cloud.section.volume(),
+            density=density,
+            viscosity=viscosity,
+            sound_speed=sound_speed,
+            dissipation_length=dissipation * sound_speed * cloud.spacing,
+            no_slip=no_slip,
+            sealed=sealed,
+            compliance=compliance,
+            globe_delay=globe_delay,
+            mean_speed=mean_speed or sound_speed,
+            eye=eye,
+            first=first,
         )
         self.neighbours.search(self.place, count, SEARCH_RADIUS[self.basis] * cloud.spacing, eye, first)
         self.operators.choose_stencils(self.place, stencil or STENCIL[self.basis], CONDITION_LIMIT[self.basis], eye)
@@ -229,9 +257,8 @@ class Aqueous:
             self.rest_volume[eye], self.last_volume[eye], self.pressure_shift[eye] = volume, volume, 0.0
             self.density0[eye], self.viscosity[eye], self.sound_speed[eye] = density, viscosity, sound_speed
             self.dissipation_length[eye], self.no_slip[eye] = dissipation_length, no_slip
-            self.sealed[eye], self.outflow[eye], self.compliance[eye] = sealed, 0.0, compliance
-            self.globe_delay[eye], self.taken_up[eye] = globe_delay, 0.0
-            self.globe_work[eye], self.mean_pressure[eye] = 0.0, 0.0
+            self.sealed[eye], self.outflow[eye] = sealed, 0.0
+            self.globe.rest(eye, compliance, globe_delay)
             self.mean_speed[eye] = mean_speed
             for t in range(triangles.shape[0]):
                 for k in ti.static(range(3)):
@@ -428,13 +455,8 @@ class Aqueous:
         """The uniform pressure [Pa] to add in the step of dt [s] that ends with the chamber at its volume [m^3].
 
         Continuity is going to bring the liquid's own stiffness times the change of volume; what that and the present
-        mean lack of the mean pressure that the volume stands for is added. In an open chamber that mean is zero. Where
-        the
-        rest of the globe yields, by compliance C [m^3/Pa] times the mean pressure, that much aqueous humour has left,
-        from
-        everywhere alike: the eye behind the iris is not resolved. A globe whose wall is viscous follows late, dy/dt =
-        (C p - y) /
-        delay, y the volume it has taken up: exact for a pressure that is that of the step's end throughout.
+        mean lack of the mean pressure that the volume stands for is added. In an open chamber that mean is zero. What
+        the rest of the globe takes up (`taichi_eye.solver.globe`) has left, from everywhere alike.
         """
         first, count = self.first[eye], self.count[eye]
         # four sums side by side: one alone waits for its last addition
@@ -453,18 +475,12 @@ class Aqueous:
         mean, coming = 0.0, 0.0
         if self.sealed[eye] == 1:
             stiffness = self.density0[eye] * self.mean_speed[eye] ** 2
-            follows = 1.0
-            if self.globe_delay[eye] > 0.0:
-                follows = 1.0 - ti.exp(-dt / self.globe_delay[eye])
-            before = self.taken_up[eye]
-            mean = (
-                stiffness
-                * ((self.rest_volume[eye] - (1.0 - follows) * before) / volume - 1.0)
-                / (1.0 + stiffness * follows * self.compliance[eye] / volume)
+            followed = self.globe.followed(eye, dt)
+            held = (1.0 - followed) * self.globe.taken_up[eye]
+            mean = (stiffness * ((self.rest_volume[eye] - held) / volume - 1.0)) / (
+                1.0 + stiffness * followed * self.globe.compliance[eye] / volume
             )
-            taken = follows * (self.compliance[eye] * mean - before)
-            self.globe_work[eye] += 0.5 * (self.mean_pressure[eye] + mean) * taken
-            self.taken_up[eye], self.mean_pressure[eye] = before + taken, mean
+            self.globe.take_up(eye, followed, mean)
             coming = self.density0[eye] * self.sound_speed[eye] ** 2 * (self.last_volume[eye] / volume - 1.0)
         self.last_volume[eye] = volume
         return mean - coming - total / weight

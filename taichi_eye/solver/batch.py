@@ -13,49 +13,32 @@ arithmetic in the same order whatever stands beside it: its traces are those of 
 does at a sample it does for all eyes at once, on arrays.
 """
 
-import math
+import ast
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from tqdm import tqdm
 
-from taichi_eye.cloud.packing import Cloud, pack
+from taichi_eye import backend
+from taichi_eye.cloud.packing import Cloud
 from taichi_eye.errors import RunStopped, SceneError
-from taichi_eye.eye.puff import Puff, Puffs
-from taichi_eye.eye.section import Section
+from taichi_eye.eye.puff import Puffs
 from taichi_eye.mfpm.operators import CONDITION_LIMIT
 from taichi_eye.scene import Scene
-from taichi_eye.solver import guards
+from taichi_eye.solver.case import case_of, clouds_of
+from taichi_eye.solver.figures import at, at_rest, traces_of
 from taichi_eye.solver.folding import Folding
+from taichi_eye.solver.guards import Guard, liquid_advice
 from taichi_eye.solver.rest import place_cornea
-from taichi_eye.solver.survey import QUANTITIES
+from taichi_eye.solver.state import State
 from taichi_eye.solver.timestep import NAMES, StepLimits
 from taichi_eye.solver.workspace import borrow
-from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
+from taichi_eye.units import MM
 
-SAMPLE_MS = 0.025  # longest time between two rows of the traces
+# a batch's own share of its state, arrays [eyes]
+KEPT = ("steps", "rebuilds", "recorded", "_binding", "_dt", "_going")
 AT_ONCE = 2**18  # nodes that `run_batch` holds in memory, some 3 kB each
-
-
-def cloud_of(scene) -> Cloud:
-    """The packed node cloud of a resolved scene; SceneError where its chamber cannot be filled at its spacing."""
-    return pack(Section.from_scene(scene), scene.numerics.spacing_mm * MM)
-
-
-def clouds_of(scenes) -> list[Cloud]:
-    """The clouds of scenes, packed once for each chamber and spacing; raises like `cloud_of`."""
-    packed: dict[tuple, Cloud] = {}
-    clouds = []
-    for number, scene in enumerate(scenes):
-        key = Section.from_scene(scene), scene.numerics.spacing_mm
-        if key not in packed:
-            try:
-                packed[key] = cloud_of(scene)
-            except SceneError as problem:
-                raise SceneError(f"scene {number} of the batch: {problem}") from None
-        clouds.append(packed[key])
-    return clouds
 
 
 @dataclass(frozen=True)
@@ -72,11 +55,9 @@ class Batch:
     """Coupled corneas and aqueous humours of several scenes of one basis (ValueError otherwise), advanced together.
 
     scenes: resolved; clouds: theirs, packed here when left out (SceneError where that fails). Public, by eye: scenes,
-    clouds, puffs, first (node), sample_ms, samples and samples_per_frame; steps and rebuilds so far, step_limit (the
-    limit that
-    set the last time step), stops (RunStopped or None), recorded (rows of the traces). For all: cornea, aqueous
-    (fields),
-    sample (of all eyes that still run).
+    cases, clouds, first (node); steps and rebuilds so far, step_limit (the limit that set the last time step), stops
+    (RunStopped or None), recorded (rows of the traces). For all: cornea, aqueous (fields), sample (of all eyes that
+    still run). `state` and `restore` save and take up what evolves.
     """
 
     def __init__(self, scenes: Sequence[Scene], clouds: Sequence[Cloud] | None = None):
@@ -85,90 +66,78 @@ class Batch:
         if len(bases) != 1:
             raise ValueError(f"eyes of a batch share one numerics.basis, here: {', '.join(sorted(bases)) or 'no eye'}")
         self.clouds = list(clouds) if clouds is not None else clouds_of(self.scenes)
-        self.puffs = [Puff.from_scene(scene) for scene in self.scenes]
+        self.cases = [case_of(scene) for scene in self.scenes]
+        self.clocks = [case.clock for case in self.cases]
         counts = [cloud.count for cloud in self.clouds]
         self.first = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(int)
         eyes = len(self.scenes)
-        workspace = borrow(self, sum(counts), eyes, bases.pop())
+        self.generation = backend.generation()
+        self._workspace = workspace = borrow(self, sum(counts), eyes, bases.pop())
         self.cornea, self.aqueous, self.coupling = workspace.cornea, workspace.aqueous, workspace.coupling
         self.survey, self.sampler = workspace.survey, workspace.sampler
         for eye in range(eyes):
             self._place_at_rest(eye)
-        self.samples_per_frame = np.array(
-            [max(1, math.ceil(scene.camera.frame_interval_ms / SAMPLE_MS - 1e-9)) for scene in self.scenes]
-        )
-        self.sample_ms = np.array([scene.camera.frame_interval_ms for scene in self.scenes]) / self.samples_per_frame
-        self._span = self.sample_ms * MS
-        self.samples = np.array(
-            [
-                math.floor(scene.numerics.duration_ms / sample_ms + 1e-9)
-                for scene, sample_ms in zip(self.scenes, self.sample_ms)
-            ]
-        )
+        column = lambda name: np.array([getattr(clock, name) for clock in self.clocks])
+        self.sample_ms, self._span, self._samples = column("sample_ms"), column("sample_s"), column("samples")
+        self._per_frame = column("samples_per_frame")
         self.sample = 0
         self.steps, self.rebuilds, self.recorded = (np.zeros(eyes, dtype=int) for _ in range(3))
         self._binding = np.full(eyes, -1)
         self.stops: list[RunStopped | None] = [None] * eyes
-        self._limits, self._course = StepLimits(self.scenes), Puffs(self.puffs)
-        self._rebuild_travel = np.array(
-            [scene.numerics.refresh_travel * cloud.spacing for scene, cloud in zip(self.scenes, self.clouds)]
-        )
-        self._calm = guards.Calm(
-            QUANTITIES,
-            CONDITION_LIMIT[self.scenes[0].numerics.basis],
-            np.array([guards.least_stress(scene) for scene in self.scenes]),
-        )
-        self._dt, self._largest_work = np.zeros(eyes), np.zeros(eyes)
-        # the survey of every sample, a row to an eye; the eyes that it was last taken of, those that no guard has
+        self._limits = StepLimits(self.cases)
+        self._course = Puffs([case.eye.puff for case in self.cases])
+        self._rebuild_travel = np.array([case.scheme.refresh_distance for case in self.cases])
+        self._guard = Guard(self.cases, [liquid_advice(case) for case in self.cases])
+        self._dt = np.zeros(eyes)
+        # the figures of every sample, a row to an eye; the eyes that it was last taken of, those that no guard has
         # stopped
-        self._history = np.zeros((self.samples.max() + 1, eyes, len(QUANTITIES)))
+        self._history = at_rest(self._samples.max() + 1, eyes)
         self._eyes, self._going = np.arange(eyes), np.ones(eyes, dtype=bool)
         self._figures = self.sampler.figures(eyes)
         self.sampler.take(self._eyes, np.zeros(eyes, dtype=int), self._dt, self._dt, np.zeros((eyes, 1)))
         self._history[0] = self.sampler.rows[:eyes]
         self._refuse_ill_stencils()
 
-    def _place_at_rest(self, eye: int) -> None:
-        scene, cloud, first = self.scenes[eye], self.clouds[eye], int(self.first[eye])
-        numerics = scene.numerics
-        nodes = place_cornea(self.cornea, scene, cloud.section, self.puffs[eye], cloud.wall_count - 1, eye, first)
+    def _place_at_rest(self, number: int) -> None:
+        case, cloud, first = self.cases[number], self.clouds[number], int(self.first[number])
+        eye, scheme = case.eye, case.scheme
+        nodes = place_cornea(self.cornea, eye, cloud.wall_count - 1, number, first)
         self.aqueous.setup(
             cloud,
-            scene.aqueous.density_kg_m3,
-            scene.aqueous.viscosity_mpa_s * MPA_S,
-            numerics.sound_speed_m_s,
-            numerics.dissipation,
-            numerics.wall_condition == "no_slip",
-            scene.chamber.sealed,
-            scene.chamber.compliance_mm3_mmhg * MM3 / MMHG,
-            scene.chamber.globe_delay_ms * MS,
-            numerics.mean_sound_speed_m_s,
-            eye=eye,
+            density=eye.liquid.density,
+            viscosity=eye.liquid.viscosity,
+            sound_speed=scheme.sound_speed,
+            dissipation=scheme.dissipation,
+            no_slip=scheme.no_slip,
+            sealed=eye.liquid.sealed,
+            compliance=eye.globe.compliance,
+            globe_delay=eye.globe.delay,
+            mean_speed=scheme.mean_sound_speed,
+            eye=number,
             first=first,
         )
         self.coupling.setup(
-            numerics.coupling == "iterated",
-            numerics.relaxation == "aitken",
-            numerics.relaxation_factor,
-            numerics.coupling_tolerance,
-            numerics.coupling_iterations_max,
-            eye,
+            iterated=scheme.iterated,
+            aitken=scheme.aitken,
+            factor=scheme.relaxation_factor,
+            tolerance=scheme.coupling_tolerance,
+            sweeps_max=scheme.coupling_iterations_max,
+            eye=number,
         )
-        self.survey.remember_rest(cloud.section.back_height(nodes[:, 0]), eye)
+        self.survey.remember_rest(cloud.section.back_height(nodes[:, 0]), number)
 
     def _refuse_ill_stencils(self) -> None:
         for eye, scene in enumerate(self.scenes):
-            figures = self.figures(eye)
-            condition, limit = figures["worst_condition"], CONDITION_LIMIT[scene.numerics.basis]
+            row = self._history[0, eye]
+            condition, limit = row[at.worst_condition], CONDITION_LIMIT[scene.numerics.basis]
             if not condition <= limit:
-                where = self._radius_mm(eye, figures["ill_node"])
+                where = self._radius_mm(eye, row[at.ill_node])
                 cornea = scene.cornea
                 raise SceneError(
-                    f"cornea.radius_mm = {cornea.radius_mm:g}, cornea.limbus_radius_mm = "
-                    f'{cornea.limbus_radius_mm:g}, numerics.basis = "{scene.numerics.basis}": the stencil at '
-                    f"r = {where:.2f} mm has a condition number of {condition:.1e}, at most {limit:.0e} is "
-                    "allowed; the wedge at the limbus is too sharp for the basis: bring the limbus radius nearer "
-                    'to the cornea\'s, or use "quadratic"'
+                    f"cornea.radius_mm = {cornea.radius_mm:g}, cornea.limbus_radius_mm = {cornea.limbus_radius_mm:g}, "
+                    f'numerics.basis = "{scene.numerics.basis}": the stencil at r = {where:.2f} mm has a condition '
+                    f"number of {condition:.1e}, at most {limit:.0e} is allowed; the wedge at the limbus is too sharp "
+                    'for the basis: bring the limbus radius nearer to the cornea\'s, or use "quadratic"'
                 )
 
     def _radius_mm(self, eye: int, node: float) -> float:
@@ -176,7 +145,8 @@ class Batch:
 
     def run(self, on_sample: Callable[["Batch"], None] | None = None) -> list[Outcome]:
         """Run all eyes to their ends or stops; call on_sample(self) at each sample. Returns what became of each."""
-        self.record()
+        if not self.recorded.any():
+            self.record()
         while True:
             if on_sample:
                 on_sample(self)
@@ -186,35 +156,8 @@ class Batch:
 
     def traces(self, eye: int) -> dict[str, np.ndarray]:
         """The traces of an eye so far, one array per column."""
-        samples = self.recorded[eye]
-        figures = dict(zip(QUANTITIES, self._history[:samples, eye].T))
-        time_ms = np.arange(samples) * self.sample_ms[eye]
-        return {
-            "time_ms": time_ms,
-            "apex_displacement_mm": (self.clouds[eye].section.apex_z - figures["apex_place"]) / MM,
-            "apex_velocity_m_s": -figures["apex_velocity"],
-            "puff_apex_kpa": self.puffs[eye].pressure_at_apex(time_ms * MS) * 1e-3,
-            "fluid_pressure_apex_kpa": figures["fluid_pressure_apex"] * 1e-3,
-            "chamber_volume_error": figures["volume_error"].copy(),
-            **{
-                f"{name}_uj": figures[name] * 1e6
-                for name in (
-                    "puff_work",
-                    "cornea_elastic",
-                    "cornea_kinetic",
-                    "aqueous_kinetic",
-                    "aqueous_elastic",
-                    "viscous_loss",
-                    "numerical_loss",
-                    "outflow_loss",
-                    "tissue_loss",
-                )
-            },
-            "energy_error_uj": (_stored(figures) + _lost(figures) - figures["puff_work"]) * 1e6,
-            "coupling_iterations": figures["coupling_sweeps"].copy(),
-            "coupling_residual": figures["coupling_residual"].copy(),
-            "cornea_min_stress_kpa": figures["least_stress"] * 1e-3,
-        }
+        case, rows = self.cases[eye], self._history[: self.recorded[eye], eye]
+        return traces_of(rows, case.clock, case.eye.puff, case.eye.section.apex_z)
 
     @property
     def step_limit(self) -> list[str]:
@@ -227,7 +170,8 @@ class Batch:
 
     def advance(self) -> bool:
         """Take every eye that runs to its next sample; False where none has one."""
-        self._eyes = eyes = np.flatnonzero(self._going & (self.sample < self.samples))
+        backend.refuse_lost(self.generation)
+        self._eyes = eyes = np.flatnonzero(self._going & (self.sample < self._samples))
         if not len(eyes):
             return False
         span = self._span[eyes]
@@ -250,16 +194,23 @@ class Batch:
     def record(self) -> None:
         """Look at the eyes that were advanced last: add to their traces, stop what left its validity, rebuild
         weights."""
-        eyes, figures = self._eyes, self._figures
-        self._largest_work = np.fmax(self._largest_work, np.abs(figures["puff_work"]))
-        gained = _stored(figures) - figures["puff_work"]
-        calm = self._calm.where(self._history[self.sample], gained, self._largest_work)
+        backend.refuse_lost(self.generation)
+        eyes, rows = self._eyes, self._history[self.sample]
+        calm = self._guard.where_calm(rows, self.sample % self._per_frame == 0)
         if not calm.all():
             for eye in eyes[~calm[eyes]]:
-                self._check(eye, gained[eye])
+                self.stops[eye] = self._guard.stop_of(
+                    eye,
+                    eye,
+                    rows[eye],
+                    radius_mm=lambda node, eye=eye: self._radius_mm(eye, node),
+                    time_ms=float(self.sample * self.sample_ms[eye]),
+                    lobes=self._lobes(eye, rows[eye]),
+                )
+                self._going[eye] = self.stops[eye] is None
             eyes = eyes[self._going[eyes]]
         self.recorded[eyes] = self.sample + 1
-        travelled = figures["wall_travel"] > self._rebuild_travel
+        travelled = rows[:, at.wall_travel] > self._rebuild_travel
         if travelled.any():
             due = np.zeros(len(self.scenes), dtype=np.int32)
             due[eyes] = travelled[eyes]
@@ -267,50 +218,40 @@ class Batch:
             self.survey.remember_build(due)
             self.rebuilds += due
 
-    def _lobes(self, eye: int, least: float) -> int | None:
+    def _lobes(self, number: int, row: np.ndarray) -> int | None:
         """The lobes into which a shell folds now, asked at film frames once it is compressed enough."""
-        scene = self.scenes[eye]
-        if (
-            self.sample % self.samples_per_frame[eye]
-            or not guards.is_shell(scene)
-            or least > guards.least_stress(scene)
-        ):
+        eye = self.cases[number].eye
+        if self.sample % self._per_frame[number] or not self._guard.may_fold(number, row):
             return None
-        wall = slice(self.first[eye], self.first[eye] + self.clouds[eye].wall_count)
+        wall = slice(self.first[number], self.first[number] + self.clouds[number].wall_count)
         inside, air = (field.to_numpy()[wall] for field in (self.aqueous.pressure, self.cornea.air_pressure))
-        nodes = self.clouds[eye].section.cornea_nodes(self.clouds[eye].wall_count - 1)
-        return Folding.from_scene(scene, nodes).lobes(
-            self.cornea.place.to_numpy()[wall], scene.eye.iop_mmhg * MMHG + inside - air
-        )
+        nodes = eye.section.cornea_nodes(self.clouds[number].wall_count - 1)
+        return Folding.of(eye, nodes).lobes(self.cornea.place.to_numpy()[wall], eye.iop + inside - air)
 
-    def _check(self, eye: int, gained: float) -> None:
-        figures = self.figures(eye)
-        try:
-            guards.check(
-                figures,
-                float(gained),
-                float(self._largest_work[eye]),
-                self.scenes[eye],
-                lambda node: self._radius_mm(eye, node),
-                float(self.sample * self.sample_ms[eye]),
-                figures["viscous_loss"],
-                figures["numerical_loss"],
-                self._lobes(eye, figures["least_stress"]),
-            )
-        except RunStopped as stop:
-            # without its traceback, which would hold on to the fields
-            self.stops[eye] = stop.with_traceback(None)
-            self._going[eye] = False
+    def state(self) -> State:
+        """All that evolves, at the last sample that was recorded: with it and the scenes, a run can go on elsewhere."""
+        return {
+            **self._workspace.snapshot.take(int(self.first[-1] + self.clouds[-1].count), len(self.scenes)),
+            "sample": np.array(self.sample),
+            "figures": self._history[: self.sample + 1].copy(),
+            "largest_work": self._guard.largest_work.copy(),
+            **{name: getattr(self, name).copy() for name in KEPT},
+            "stops": np.array([repr(stop.args) if stop else "" for stop in self.stops]),
+        }
 
-
-def _stored(figures):
-    """Energy [J] in cornea and aqueous humour relative to rest."""
-    return sum(figures[name] for name in ("cornea_elastic", "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic"))
-
-
-def _lost(figures):
-    """Energy [J] lost or carried off since the start."""
-    return figures["viscous_loss"] + figures["numerical_loss"] + figures["outflow_loss"] + figures["tissue_loss"]
+    def restore(self, state: State) -> None:
+        """Take up a state that `state` gave for the same scenes, in a new batch; ValueError where it does not fit."""
+        figures = state["figures"]
+        if figures.shape[1:] != self._history.shape[1:] or len(figures) > len(self._history):
+            raise ValueError("the state belongs to other scenes")
+        self.sample = int(state["sample"])
+        self._history[: len(figures)] = figures
+        self.sampler.rows[: len(self.scenes)] = figures[-1]
+        self._guard.largest_work = state["largest_work"].copy()
+        for name in KEPT:
+            getattr(self, name)[:] = state[name]
+        self.stops = [RunStopped(*ast.literal_eval(text)) if text else None for text in state["stops"].tolist()]
+        self._workspace.restore(state)
 
 
 def run_batch(scenes: Sequence[Scene], progress: bool = False) -> list[Outcome]:

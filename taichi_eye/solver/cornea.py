@@ -1,10 +1,10 @@
 """The cornea: an axisymmetric exponential-hyperelastic membrane by finite differences in the material angle.
 
-Energy per reference volume (Montanino, Angelillo, Pandolfi): W = A [exp(C (E - E0).(E - E0)) - 1], with E the
-Green-Lagrange strain from the pressurised state. Here, for an isotropic C and E0 = -eps0 I,
+The tissue is a law of `taichi_eye.eye.laws`, W(e1, e2) per reference volume, with
 
-    lam1 = |x'| / R,  lam2 = r / (R sin th),  E_i = (lam_i^2 - 1) / 2,  e_i = E_i + eps0,
-    Q = s [(1 - nu)(e1^2 + e2^2) + nu (e1 + e2)^2],  W = A (exp Q - 1),  S_i = dW/dE_i.
+    lam1 = |x'| / R,  lam2 = r / (R sin th),  E_i = (lam_i^2 - 1) / 2,  e_i = E_i + eps0,  S_i = dW/dE_i,
+
+E the Green-Lagrange strain from the pressurised state and eps0 the prestrain that carries the IOP at rest.
 
 Discretisation. Two-point differences on a uniform grid in the angle: stretch and stress live on the elements between
 nodes, with lam1 = |dx| / |dX| and lam2 = (r_i + r_{i+1}) / (R_i + R_{i+1}). The nodal force is minus the derivative of
@@ -45,8 +45,9 @@ Units are SI: m, s, Pa, N, J. Forces and masses are those of full rings (2 pi r)
 import numpy as np
 
 from taichi_eye.backend import real
-from taichi_eye.eye.tissue import flexural_rigidity
+from taichi_eye.eye.laws import LAWS, Law
 from taichi_eye.lang import ONE_TASK, ti
+from taichi_eye.solver import rings
 
 
 @ti.data_oriented
@@ -58,17 +59,23 @@ class Cornea:
     place, velocity, acceleration: [m], [m/s], [m/s^2]; rest: reference places; force_air, force_solid: forces [N] of
     the air and of everything else but the fluid's excess pressure; stress: S1, S2 of each element [Pa].
 
-    Verification problems change three things. law: "exponential" (the tissue) or "tension" (a film of constant Cauchy
-    stress `material[0]` in Pa, like a soap film). rim: "clamped" (the limbus), "sliding_r" or "sliding_z" (a symmetry
-    plane in which the last node moves along r or along z). planar: a strip of unit depth in (x, z), without hoop
-    strain.
+    Verification problems change three things. law: another tissue. rim: "clamped" (the limbus), "sliding_r" or
+    "sliding_z" (a symmetry plane in which the last node moves along r or along z). planar: a strip of unit depth in
+    (x, z), without hoop strain.
     """
 
     def __init__(
-        self, capacity: int, law: str = "exponential", rim: str = "clamped", planar: bool = False, eyes: int = 1
+        self,
+        capacity: int,
+        law: Law = LAWS["exponential"],
+        rim: str = "clamped",
+        planar: bool = False,
+        eyes: int = 1,
     ):
         fp = real()
-        self.capacity, self.law, self.rim, self.planar = capacity, law, rim, planar
+        self.capacity, self.rim, self.planar = capacity, rim, planar
+        self.law = law.text(ti, ti.func)
+        self.element_volume_under, self.ring_share = rings.text(ti.func)
         self.first, self.last = ti.field(ti.i32, eyes), ti.field(ti.i32, eyes)
         vector = lambda: ti.Vector.field(2, fp, capacity)
         scalar = lambda: ti.field(fp, capacity)
@@ -85,28 +92,41 @@ class Cornea:
         self.stress, self.strain = vector(), vector()
         self.overstress, self.overmoment = vector(), vector()
         self.relaxation, self.relaxed_work = ti.Vector.field(2, fp, eyes), ti.field(fp, eyes)  # g, tau [s]; work [J]
-        self.material = ti.field(fp, (eyes, 3))  # A [Pa], s, nu
+        self.material = ti.Vector.field(law.size, fp, eyes)  # the law's coefficients
         self.iop, self.puff_work = ti.field(fp, eyes), ti.field(fp, eyes)
+
+    def evolving(self) -> dict:
+        """The fields of nodes and elements that evolve and that a step reads, by name (`taichi_eye.solver.state`)."""
+        names = ("place", "velocity", "acceleration", "lost", "force_air", "air_pressure", "stress", "strain")
+        names += ("overstress", "overmoment", "inclination")
+        return {f"cornea_{name}": getattr(self, name) for name in names}
+
+    def evolving_of_eyes(self) -> dict:
+        """The same of eyes."""
+        return {"relaxed_work": self.relaxed_work, "puff_work": self.puff_work}
 
     def setup(
         self,
         nodes,
+        *,
         thickness,
         density: float,
-        material,
+        coefficients,
+        prestrain,
         iop: float,
         load_shape,
-        flexural_modulus: float = 0.0,
-        relaxation=(0.0, 1.0),
+        rigidity=0.0,
+        overstress_share: float = 0.0,
+        relaxation_time: float = 1.0,
         eye: int = 0,
         first: int = 0,
     ) -> None:
         """Place the membrane of one eye at rest, its nodes from `first` on.
 
-        nodes [n, 2] (m), apex first; thickness (m); density (kg/m^3); material (A in Pa, s, nu, eps0); iop (Pa);
-        load_shape [n]: the puff's pressure at each node relative to its pressure on the axis; flexural_modulus (Pa):
-        Young's modulus of bending, 0 for a membrane; relaxation (g, tau in s). Thickness and eps0 may be one number or
-        one per element, [n - 1].
+        nodes [n, 2] (m), apex first; thickness (m); density (kg/m^3); coefficients of the tissue law; prestrain eps0;
+        iop (Pa); load_shape [n]: the puff's pressure at each node relative to its pressure on the axis; rigidity: D
+        (N m), 0 for a membrane; overstress_share g and relaxation_time tau (s). Thickness, eps0 and D may be one number
+        or one per element, [n - 1].
         """
         count = len(nodes)
         thickness = np.broadcast_to(np.asarray(thickness, dtype=float), count - 1)
@@ -120,32 +140,30 @@ class Cornea:
         if self.planar:
             ring = 0.5 * (np.append(thickness * length, 0.0) + np.append(0.0, thickness * length))
             volume = thickness * length
-        shape = np.asarray(load_shape, dtype=float)
-        *constants, prestrain = material
-        eps0 = np.broadcast_to(np.asarray(prestrain, dtype=float), length.shape)
         flexure = np.zeros((count - 1, 2))
-        if flexural_modulus > 0.0:
-            rigidity = flexural_rigidity(flexural_modulus, thickness, constants[2])
+        rigidity = np.broadcast_to(np.asarray(rigidity, dtype=float), count - 1)
+        if rigidity[0] > 0.0:
             # nodes: D area / L^2, the apex with the disc inside half an element and its mirrored neighbour
             flexure[:, 0] = rigidity * 2.0 * np.pi * nodes[:-1, 0] / length
             flexure[0, 0] = rigidity[0] * np.pi
             flexure[:, 1] = rigidity * 2.0 * np.pi * length / radius
         angle = np.arctan2(-np.diff(nodes[:, 1]), np.diff(nodes[:, 0]))
         self._load(
-            np.ascontiguousarray(nodes),
-            density * ring,
-            length,
-            radius,
-            volume,
-            np.ascontiguousarray(eps0),
-            flexure,
-            angle,
-            shape,
-            *constants,
-            iop,
-            *relaxation,
-            eye,
-            first,
+            nodes=np.ascontiguousarray(nodes),
+            mass=density * ring,
+            length=length,
+            radius=radius,
+            volume=volume,
+            prestrain=np.array(np.broadcast_to(np.asarray(prestrain, dtype=float), length.shape)),
+            flexure=flexure,
+            angle=angle,
+            load_shape=np.asarray(load_shape, dtype=float),
+            coefficients=np.array(coefficients, dtype=float),
+            iop=iop,
+            share=overstress_share,
+            time=relaxation_time,
+            eye=eye,
+            first=first,
         )
         self._store_rest_residual(eye)
 
@@ -161,9 +179,7 @@ class Cornea:
         flexure: ti.types.ndarray(),
         angle: ti.types.ndarray(),
         load_shape: ti.types.ndarray(),
-        stiffness: float,
-        s: float,
-        nu: float,
+        coefficients: ti.types.ndarray(),
         iop: float,
         share: float,
         time: float,
@@ -174,7 +190,8 @@ class Cornea:
         ti.loop_config(serialize=True)
         for _ in range(ONE_TASK):
             self.first[eye], self.last[eye] = first, first + nodes.shape[0] - 1
-            self.material[eye, 0], self.material[eye, 1], self.material[eye, 2] = stiffness, s, nu
+            for c in ti.static(range(self.material.n)):
+                self.material[eye][c] = coefficients[c]
             self.iop[eye], self.puff_work[eye] = iop, 0.0
             self.relaxation[eye], self.relaxed_work[eye] = ti.Vector([share, time]), 0.0
             for n in range(nodes.shape[0]):
@@ -197,23 +214,6 @@ class Cornea:
                 zero = ti.Vector([0.0, 0.0])
                 self.moment[k], self.overstress[k], self.overmoment[k] = zero, zero, zero
             self.flexible[eye] = ti.select(flexure[0, 1] > 0.0, 1, 0)
-
-    @ti.func
-    def stress_of(self, eye, e, shift):
-        """S1, S2 [Pa] and W [J/m^3] at the strains e = (e1, e2), shifted by `shift`."""
-        if ti.static(self.law == "tension"):
-            # W = S lam1 lam2: tension times area
-            lam1, lam2 = ti.sqrt(1.0 + 2.0 * (e[0] - shift)), ti.sqrt(1.0 + 2.0 * (e[1] - shift))
-            tension = self.material[eye, 0]
-            return tension * ti.Vector([lam2 / lam1, lam1 / lam2]), tension * (lam1 * lam2 - 1.0)
-        else:
-            stiffness, s, nu = self.material[eye, 0], self.material[eye, 1], self.material[eye, 2]
-            total = e[0] + e[1]
-            grown = ti.exp(s * ((1.0 - nu) * (e[0] * e[0] + e[1] * e[1]) + nu * total * total))
-            factor = 2.0 * stiffness * s * grown
-            return ti.Vector(
-                [factor * ((1.0 - nu) * e[0] + nu * total), factor * ((1.0 - nu) * e[1] + nu * total)]
-            ), stiffness * (grown - 1.0)
 
     @ti.func
     def hoop_stretch(self, k):
@@ -263,8 +263,9 @@ class Cornea:
     @ti.func
     def _stretch(self, eye, k, kept, gain):
         # edge tension (N, along the edge, pulling node k outwards) and hoop force (N) of element k
-        strain, shift = self.strain_of(k), self.prestrain[k]
-        stress, energy = self.stress_of(eye, strain, shift)
+        strain = self.strain_of(k)
+        s1, s2 = self.law.stress(strain[0], strain[1], self.prestrain[k], self.material[eye])
+        stress = ti.Vector([s1, s2])
         if gain > 0.0:
             change = stress - (self.stress[k] - self.overstress[k])
             over = kept * self.overstress[k] + gain * change
@@ -318,19 +319,19 @@ class Cornea:
         """Derivative [m^2] of the enclosed volume with respect to the place of node i: its ring's area vector."""
         gradient = ti.Vector([0.0, 0.0])
         if i > self.first[eye]:
-            edge = self.place[i] - self.place[i - 1]
-            radius = 0.5 * (self.place[i][0] + self.place[i - 1][0])
+            a, b = self.place[i - 1], self.place[i]
             if ti.static(self.planar):
-                gradient += 0.5 * ti.Vector([-edge[1], edge[0]])
+                gradient += 0.5 * ti.Vector([a[1] - b[1], b[0] - a[0]])
             else:
-                gradient += ti.math.pi * radius * ti.Vector([-edge[1], -radius])
+                across, up = self.ring_share(a[0], a[1], b[0], b[1])
+                gradient += ti.Vector([across, -up])
         if i < self.last[eye]:
-            edge = self.place[i + 1] - self.place[i]
-            radius = 0.5 * (self.place[i][0] + self.place[i + 1][0])
+            a, b = self.place[i], self.place[i + 1]
             if ti.static(self.planar):
-                gradient += 0.5 * ti.Vector([-edge[1], edge[0]])
+                gradient += 0.5 * ti.Vector([a[1] - b[1], b[0] - a[0]])
             else:
-                gradient += ti.math.pi * radius * ti.Vector([-edge[1], radius])
+                across, up = self.ring_share(a[0], a[1], b[0], b[1])
+                gradient += ti.Vector([across, up])
         return gradient
 
     @ti.func
@@ -367,15 +368,15 @@ class Cornea:
         self.force_air[i] = -self.air_pressure[i] * ring
 
     @ti.func
-    def enclosed_volume(self, eye):
-        """Volume between the membrane and the limbus plane [m^3], by the midpoint rule on each element."""
+    def enclosed_volume(self, eye, place: ti.template()):
+        """Volume [m^3] between a membrane at `place`, a field like its own, and the limbus plane."""
         volume = 0.0
         for k in range(self.first[eye], self.last[eye]):
-            a, b = self.place[k], self.place[k + 1]
+            a, b = place[k], place[k + 1]
             if ti.static(self.planar):
                 volume += 0.5 * (a[1] + b[1]) * (b[0] - a[0])
             else:
-                volume += ti.math.pi * (0.5 * (a[0] + b[0])) ** 2 * (a[1] - b[1])
+                volume += self.element_volume_under(a[0], a[1], b[0], b[1])
         return volume
 
     @ti.kernel
@@ -392,8 +393,10 @@ class Cornea:
         """Stored energy [J] relative to rest is this minus its value at rest: tissue plus dead load."""
         energy = 0.0
         for k in range(self.first[eye], self.last[eye]):
-            stress, density = self.stress_of(eye, self.strain_of(k), self.prestrain[k])
-            energy += self.element_volume[k] * density
+            strain = self.strain_of(k)
+            energy += self.element_volume[k] * self.law.energy(
+                strain[0], strain[1], self.prestrain[k], self.material[eye]
+            )
         for i in range(self.first[eye], self.last[eye] + 1):
             energy += self.residual[i].dot(self.place[i] - self.rest[i])
         return energy + self.bending_energy(eye)
@@ -403,20 +406,18 @@ class Cornea:
         """Borne stress [Pa] of element k and the speeds [m/s] of in-plane waves (by the meridian's tangent) and
         transverse ones."""
         first = self.first[eye]
-        strain = self.strain_of(k)
-        stress, energy = self.stress_of(eye, strain, self.prestrain[k])
-        stress += self.overstress[k]
+        strain, shift = self.strain_of(k), self.prestrain[k]
+        along, mixed, hoop, shear = self.law.tangent(strain[0], strain[1], shift, self.material[eye])
+        s1, s2 = self.law.stress(strain[0], strain[1], shift, self.material[eye])
+        meridional = s1 + self.overstress[k][0]
         sudden = 1.0 + self.relaxation[eye][0]
         density = self.mass[first + 1] / (0.5 * (self.element_volume[first] + self.element_volume[first + 1]))
-        s, nu = self.material[eye, 1], self.material[eye, 2]
-        grown = 2.0 * s * (energy + self.material[eye, 0])
-        slope = (1.0 - nu) * strain[0] + nu * (strain[0] + strain[1])
-        stretch_squared = 2.0 * (strain[0] - self.prestrain[k]) + 1.0
-        stiffness = sudden * grown * (1.0 + 2.0 * s * slope * slope) * stretch_squared + stress[0]
+        stretch_squared = 2.0 * (strain[0] - shift) + 1.0
+        stiffness = sudden * along * stretch_squared + meridional
         return (
             self.borne_stress(eye, k),
             ti.sqrt(ti.max(stiffness, 0.0) / density),
-            ti.sqrt(ti.max(stress[0], 0.0) / density),
+            ti.sqrt(ti.max(meridional, 0.0) / density),
         )
 
     @ti.func

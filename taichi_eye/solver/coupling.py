@@ -40,13 +40,13 @@ from taichi_eye.backend import real
 from taichi_eye.lang import ti
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.cornea import Cornea
+from taichi_eye.solver.figures import NOT_CONVERGED, RUNNING
 
 SERIAL_NODES = 4000  # up to here one thread running the whole time loop beats launching each loop on all of them
 # what rounding leaves, by precision: membrane speeds [m/s] below which the wall counts as at rest in the coupling
 # tolerance, and the finest tolerance that can be met
 VELOCITY_FLOOR = {ti.f64: 1e-7, ti.f32: 1e-2}
 FINEST_TOLERANCE = {ti.f64: 0.0, ti.f32: 1e-5}
-RUNNING, NOT_CONVERGED = 0, 1
 
 
 def plan_of(eyes, steps, dt, kick_dt, puff_apex) -> np.ndarray:
@@ -85,7 +85,7 @@ class Coupling:
         self.march_all, self._step_all = _launches(self)
 
     def setup(
-        self, iterated: bool, aitken: bool, factor: float, tolerance: float, sweeps_max: int, eye: int = 0
+        self, *, iterated: bool, aitken: bool, factor: float, tolerance: float, sweeps_max: int, eye: int = 0
     ) -> None:
         """How step 3 runs in an eye, and a fresh start.
 
@@ -93,7 +93,13 @@ class Coupling:
         largest velocity; sweeps_max: at which the run counts as not converged.
         """
         self._load(
-            iterated, aitken, factor, max(tolerance, FINEST_TOLERANCE[real()]), VELOCITY_FLOOR[real()], sweeps_max, eye
+            iterated=iterated,
+            aitken=aitken,
+            factor=factor,
+            tolerance=max(tolerance, FINEST_TOLERANCE[real()]),
+            floor=VELOCITY_FLOOR[real()],
+            sweeps_max=sweeps_max,
+            eye=eye,
         )
 
     @ti.kernel
@@ -233,7 +239,9 @@ class Coupling:
     @ti.func
     def chamber_volume(self, eye):
         """Volume [m^3] of the chamber under the present cornea."""
-        return self.aqueous.rest_volume[eye] + (self.cornea.enclosed_volume(eye) - self.rest_enclosed[eye])
+        return self.aqueous.rest_volume[eye] + (
+            self.cornea.enclosed_volume(eye, self.cornea.place) - self.rest_enclosed[eye]
+        )
 
     @ti.func
     def _settle_pressure(self, eye, dt):

@@ -11,7 +11,7 @@ with S' = d/dS along the meridian at rest, R0 the radius at rest and all cos^2, 
                                                                                                          pressure
 
     dE_1 = r' rho' + z' zeta',  dE_2 = r (rho + m tau) / R0^2,  gamma = (r tau' - r' (m rho + tau) - m z' zeta) / R0,
-    C_ij = dS_i/dE_j,  C66 = A s (1 - nu) e^Q  (the law of `taichi_eye.eye.tissue` with its shear),
+    C_ij = dS_i/dE_j,  C66 the tangent of shear in the plane  (of the tissue's law),
     k_s = -w'',  k_phi = m^2 w / r^2 - r' w' / r,  k_sphi = m (w' / r - r' w / r^2).
 
 The state is stable where this form is positive definite for every m from 2 on. The chamber's volume does not change to
@@ -29,37 +29,20 @@ looking begins.
 
 import numpy as np
 
-from taichi_eye.eye.thickness import prestrain, thickness
-from taichi_eye.eye.tissue import flexural_rigidity
+from taichi_eye.eye.eye import Eye
 
 LOBES = tuple(range(2, 17))
-
-
-def tangent(e1, e2, a, s, nu):
-    """Stresses S1, S2 and tangents C11, C12, C22, C66 [Pa] at the strains e_i = E_i + eps0; see
-    `taichi_eye.eye.tissue`."""
-    total = e1 + e2
-    b1, b2 = (1.0 - nu) * e1 + nu * total, (1.0 - nu) * e2 + nu * total
-    f = 2.0 * a * s * np.exp(s * ((1.0 - nu) * (e1 * e1 + e2 * e2) + nu * total * total))
-    return (
-        f * b1,
-        f * b2,
-        f * (1.0 + 2.0 * s * b1 * b1),
-        f * (nu + 2.0 * s * b1 * b2),
-        f * (1.0 + 2.0 * s * b2 * b2),
-        0.5 * f * (1.0 - nu),
-    )
 
 
 class Folding:
     """The stability of one cornea's states.
 
     rest [n + 1, 2] (m): nodes, apex first; thickness (m), prestrain, rigidity D (N m): numbers or per element [n];
-    tissue: A (Pa), s and nu.
+    law, coefficients, poisson_ratio: of the tissue.
     """
 
-    def __init__(self, rest, thickness, tissue, prestrain, rigidity):
-        self.rest, (self.a, self.s, self.nu) = np.asarray(rest), tissue
+    def __init__(self, rest, *, thickness, law, coefficients, poisson_ratio, prestrain, rigidity):
+        self.rest, self.law, self.coefficients, self.nu = np.asarray(rest), law, coefficients, poisson_ratio
         n = len(self.rest) - 1
         self.thickness, self.prestrain, self.rigidity = (
             np.broadcast_to(np.asarray(v, dtype=float), n) for v in (thickness, prestrain, rigidity)
@@ -75,16 +58,18 @@ class Folding:
         self.dofs = 3 * np.arange(n)[:, None] + np.arange(6)
 
     @classmethod
-    def from_scene(cls, scene, rest) -> "Folding":
-        """That of a resolved scene's cornea with the nodes `rest` [n + 1, 2] (m)."""
-        cornea, middle = scene.cornea, 0.5 * (rest[1:, 0] + rest[:-1, 0])
-        nu, thick = cornea.poisson_ratio, thickness(scene, middle)
+    def of(cls, eye: Eye, rest) -> "Folding":
+        """That of an eye's cornea with the nodes `rest` [n + 1, 2] (m)."""
+        middle = 0.5 * (rest[1:, 0] + rest[:-1, 0])
+        thickness = eye.thickness(middle)
         return cls(
             rest,
-            thick,
-            (cornea.stiffness_a_pa, cornea.exponent_k / (1.0 + nu), nu),
-            prestrain(scene, middle),
-            flexural_rigidity(cornea.flexural_modulus_mpa * 1e6, thick, nu),
+            thickness=thickness,
+            law=eye.cornea.law,
+            coefficients=eye.cornea.coefficients,
+            poisson_ratio=eye.cornea.poisson_ratio,
+            prestrain=eye.prestrain(middle),
+            rigidity=eye.cornea.rigidity(thickness),
         )
 
     def lobes(self, place, pressure, lobes=LOBES) -> int | None:
@@ -101,14 +86,6 @@ class Folding:
             except np.linalg.LinAlgError:
                 return m
         return None
-
-    def ring(self, place) -> float:
-        """Radius at rest [m] of the most compressed element."""
-        r = 0.5 * (place[1:, 0] + place[:-1, 0])
-        along = np.linalg.norm(np.diff(place, axis=0), axis=1) / self.length
-        strains = (0.5 * (stretch**2 - 1.0) + self.prestrain for stretch in (along, r / self.radius))
-        s1, s2, *_ = tangent(*strains, self.a, self.s, self.nu)
-        return float(self.radius[np.minimum(s1, s2).argmin()])
 
     def form(self, place, pressure, m: int) -> np.ndarray:
         """The quadratic form [J/m^2 over pi/2] of the free nodes, (rho, tau, zeta) node by node; symmetric."""
@@ -135,7 +112,9 @@ class Folding:
         r0 = self.radius[:, None]
         e1 = 0.5 * ((rp**2 + zp**2)[:, 0] - 1.0) + self.prestrain
         e2 = 0.5 * ((r / r0)[:, 0] ** 2 - 1.0) + self.prestrain
-        s1, s2, c11, c12, c22, c66 = tangent(e1, e2, self.a, self.s, self.nu)
+        law = self.law.of_arrays
+        s1, s2 = law.stress(e1, e2, self.prestrain, self.coefficients)
+        c11, c12, c22, c66 = law.tangent(e1, e2, self.prestrain, self.coefficients)
         along, hoop = rp * drho + zp * dzeta, r / r0**2 * (rho + m * tau)
         shear = (r * dtau - rp * (m * rho + tau) - m * zp * zeta) / r0
         turned = [(m * rho + tau) / r0, (rho + m * tau) / r0, m * zeta / r0]

@@ -18,14 +18,15 @@ motion, and a liquid so viscous that it matters is outside the model.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from taichi_eye.errors import RunStopped
-from taichi_eye.eye.tissue import biaxial_tangent, flexural_rigidity
+from taichi_eye.eye.eye import Eye
 from taichi_eye.mfpm.operators import CONDITION_LIMIT
-from taichi_eye.solver.coupling import NOT_CONVERGED, RUNNING
-from taichi_eye.units import MM, MMHG
+from taichi_eye.solver.case import Case
+from taichi_eye.solver.figures import NOT_CONVERGED, QUANTITIES, RUNNING, STORED_COLUMNS, at
 
 FLAT = 0.05  # of its area at rest: a triangle this flat is about to turn over
 CLOSED = 0.1  # of the height of the chamber at rest: the cornea is about to touch its back
@@ -36,108 +37,101 @@ ENERGY_FLOOR = 1e-10  # J: below it no gain is judged (the default puff works 2e
 LIGHT = 0.3  # mass of the cornea over that of a layer of nodes below which the wall pressure outruns the wall
 
 
-def least_stress(scene) -> float:
+@dataclass(frozen=True)
+class Advice:
+    """What a rung tells its user to change; unstable: where energy or a value runs away; back: at the chamber's
+    back."""
+
+    unstable: str
+    back: str
+
+
+def least_stress(eye: Eye) -> float:
     """The principal stress [Pa] in the cornea's plane below which it is judged: 0, where a membrane is slack, less for
     a shell."""
-    cornea = scene.cornea
-    if not is_shell(scene):
+    cornea = eye.cornea
+    if not cornea.is_shell:
         return 0.0
-    thickness, nu = cornea.thickness_mm * MM, cornea.poisson_ratio
-    rigidity = float(flexural_rigidity(cornea.flexural_modulus_mpa * 1e6, thickness, nu))
-    young = (1.0 - nu) * biaxial_tangent(cornea.stiffness_a_pa, cornea.exponent_k, cornea.prestrain)
-    return -2.0 * math.sqrt(rigidity * young / thickness) / (cornea.radius_mm * MM)
+    rigidity = float(cornea.rigidity(cornea.thickness))
+    return -2.0 * math.sqrt(rigidity * eye.youngs_modulus / cornea.thickness) / eye.section.radius
 
 
 def check(
     figures: dict[str, float],
-    energy_gain: float,
+    *,
+    gained: float,
     largest_work: float,
-    scene,
+    case: Case,
+    advice: Advice,
     radius_mm,
     time_ms: float,
-    viscous_loss: float = 0.0,
-    numerical_loss: float = 0.0,
     lobes: int | None = None,
 ) -> None:
-    """Raise RunStopped where the figures of a survey show a run that is no longer valid.
+    """Raise RunStopped where the figures of a state show a run that is no longer valid.
 
-    energy_gain [J]: stored - work of the puff; largest_work [J]: the largest |work| so far; radius_mm(node): reference
-    radius of a node; viscous_loss, numerical_loss [J]: taken by viscosity and by the dissipation so far;
-    lobes: into which a shell folds, None where it does not.
+    gained [J]: stored - work of the puff; largest_work [J]: the largest |work| so far; advice: the rung's;
+    radius_mm(node): reference radius of a node; lobes: into which a shell folds, None where it does not.
     """
-    numerics = scene.numerics
     allowed = ENERGY_SHARE * largest_work + ENERGY_FLOOR
+    viscous, numerical = figures["viscous_loss"], figures["numerical_loss"]
 
-    def stop(what, advice, node):
-        raise RunStopped(what, f"at r = {radius_mm(int(node)):.2f} mm", time_ms, advice)
+    def stop(what, remedy, node):
+        raise RunStopped(what, f"at r = {radius_mm(int(node)):.2f} mm", time_ms, remedy)
 
-    stress_at_rest = scene.eye.iop_mmhg * MMHG * scene.cornea.radius_mm / (2.0 * scene.cornea.thickness_mm)
     churned = CHURN_SHARE * largest_work + ENERGY_FLOOR
-    grew = energy_gain > allowed or energy_gain + numerical_loss > churned
+    grew = gained > allowed or gained + numerical > churned
     found = figures["least_stress"]
-    shell = is_shell(scene)
+    shell = case.eye.cornea.is_shell
     failed = lobes is not None if shell else found <= 0.0
-    torn = not shell and found < -stress_at_rest
+    torn = not shell and found < -case.eye.rest_stress
     if failed and not (grew or torn):
-        stop(*failing(found, lobes), figures["slackest_element"])
+        stop(*_failing(found, lobes), figures["slackest_element"])
     if figures["chamber_gap"] < CLOSED:
-        stop(
-            "the cornea reached the back of the chamber",
-            "Lower puff.peak_kpa, raise eye.iop_mmhg or chamber.depth_mm"
-            + ("." if scene.chamber.sealed else ", or keep the fluid in: chamber.sealed = true."),
-            figures["gap_node"],
-        )
+        stop("the cornea reached the back of the chamber", advice.back, figures["gap_node"])
     if figures["flattest_triangle"] < FLAT:
         stop(
             "nodes are about to cross (the cloud is folded)",
             "Lower puff.peak_kpa or numerics.spacing_mm; raise numerics.dissipation if the wall shows ripples.",
             figures["flat_node"],
         )
-    if not figures["worst_condition"] < CONDITION_GROWTH * CONDITION_LIMIT[numerics.basis]:
+    if not figures["worst_condition"] < CONDITION_GROWTH * CONDITION_LIMIT[case.scheme.basis]:
         stop(
             f"a stencil went singular (condition number {figures['worst_condition']:.1e})",
             'Change numerics.spacing_mm, or use numerics.basis = "quadratic".',
             figures["ill_node"],
         )
-    unstable = _advice_unstable(scene)
-    if figures["not_finite"] or energy_gain != energy_gain:
-        stop("a value is not finite any more", unstable, max(figures["bad_node"], 0))
-    unbalanced = energy_gain + viscous_loss > allowed
+    if figures["not_finite"] or gained != gained:
+        stop("a value is not finite any more", advice.unstable, max(figures["bad_node"], 0))
+    unbalanced = gained + viscous > allowed
     # at the size of the spacing the dissipation takes more than viscosity: then the loss is an instability's
-    smooth = viscous_loss > max(energy_gain, numerical_loss)
+    smooth = viscous > max(gained, numerical)
     if grew or failed or unbalanced and not smooth:
-        gained = energy_gain + max(numerical_loss, 0.0)
         raise RunStopped(
             "energy grew without work",
-            f"{gained * 1e6:.3g} uJ more than the puff put in, whose largest "
-            f"work so far is {largest_work * 1e6:.3g} uJ",
+            f"{(gained + max(numerical, 0.0)) * 1e6:.3g} uJ more than the puff put in, whose largest work so far is "
+            f"{largest_work * 1e6:.3g} uJ",
             time_ms,
-            unstable,
+            advice.unstable,
         )
     if unbalanced:
         raise RunStopped(
             "the energy that viscosity takes is not balanced",
-            f"{viscous_loss * 1e6:.3g} uJ, largest work so far {largest_work * 1e6:.3g} uJ",
+            f"{viscous * 1e6:.3g} uJ, largest work so far {largest_work * 1e6:.3g} uJ",
             time_ms,
-            f"Lower aqueous.viscosity_mpa_s (now {scene.aqueous.viscosity_mpa_s:g}): the viscous stress on the "
+            f"Lower aqueous.viscosity_mpa_s (now {case.scene.aqueous.viscosity_mpa_s:g}): the viscous stress on the "
             "cornea is left out of the model and matters here.",
         )
     if figures["coupling_status"] == NOT_CONVERGED:
         raise RunStopped(
             "the coupling iteration did not converge",
-            f"in {numerics.coupling_iterations_max} sweeps",
+            f"in {case.scheme.coupling_iterations_max} sweeps",
             time_ms,
             "Lower numerics.cfl, raise numerics.coupling_iterations_max or numerics.coupling_tolerance, "
             'or use numerics.relaxation = "aitken".',
         )
 
 
-def is_shell(scene) -> bool:
-    """Whether the cornea resists bending, and so bears compression."""
-    return scene.cornea.flexural_modulus_mpa > 0.0
-
-
-def failing(stress: float, lobes: int | None) -> tuple[str, str]:
+def _failing(stress: float, lobes: int | None) -> tuple[str, str]:
     """What a cornea under this principal stress [Pa], or a shell that folds, does, and what to change."""
     if lobes is None:
         return (
@@ -150,51 +144,97 @@ def failing(stress: float, lobes: int | None) -> tuple[str, str]:
     )
 
 
-class Calm:
-    """Where `check` has nothing to look at, for many eyes at once: figures within bounds and their energy balanced.
+class Guard:
+    """Watches several eyes from sample to sample.
 
-    names: columns of the rows; condition_limit: that of their basis; least [eyes]: their `least_stress`.
+    cases: theirs; advice: of each, its rung's. largest_work: the largest |work of the puff| so far [J], of each row
+    last looked at. `where_calm` says where nothing is to be looked at; what is not calm goes to `stop_of`.
     """
 
-    def __init__(self, names, condition_limit: float, least: np.ndarray):
-        self._low, self._high = np.full((2, len(least), len(names)), [[[-np.inf]], [[np.inf]]])
-        self._viscous, self._numerical = names.index("viscous_loss"), names.index("numerical_loss")
+    def __init__(self, cases, advice):
+        self.cases, self.advice = cases, advice
+        self.least = np.array([least_stress(case.eye) for case in cases])
+        self._shells = np.array([case.eye.cornea.is_shell for case in cases])
+        self.largest_work = np.zeros(len(cases))
+        self._low, self._high = np.full((2, len(cases), len(QUANTITIES)), [[[-np.inf]], [[np.inf]]])
+        condition = [CONDITION_GROWTH * CONDITION_LIMIT[case.scheme.basis] for case in cases]
         for bounds, name, value in (
-            (self._low, "least_stress", np.nextafter(least, np.inf)),
+            (self._low, "least_stress", np.where(self._shells, -np.inf, np.nextafter(self.least, np.inf))),
             (self._low, "chamber_gap", CLOSED),
             (self._low, "flattest_triangle", FLAT),
             (self._high, "not_finite", 0.0),
-            (self._high, "worst_condition", np.nextafter(CONDITION_GROWTH * condition_limit, 0.0)),
+            (self._high, "worst_condition", np.nextafter(np.array(condition), 0.0)),
             (self._high, "coupling_status", RUNNING),
         ):
-            bounds[:, names.index(name)] = value
+            bounds[:, at.__dict__[name]] = value
 
-    def where(self, rows, energy_gain, largest_work) -> np.ndarray:
-        """A bool for each eye; rows: their figures, the viscous and the numerical loss among them.
+    def where_calm(self, rows: np.ndarray, at_frame) -> np.ndarray:
+        """A bool for each row of figures, [eyes, QUANTITIES]; of a single eye also [samples, QUANTITIES], in order.
 
-        A figure that is NaN makes an eye look worse than it is, never better.
+        at_frame: of each row, or one for all: whether it is a film frame's, at which shells are asked whether they
+        fold. A figure that is NaN makes an eye look worse than it is, never better.
         """
+        work = np.abs(rows[:, at.puff_work])
+        if len(self.cases) == 1:
+            work = np.fmax(np.fmax.accumulate(work), self.largest_work[-1])
+        else:
+            work = np.fmax(self.largest_work, work)
+        self.largest_work = work
+        gained = gain(rows)
         within = ((rows >= self._low) & (rows <= self._high)).all(1)
-        within &= energy_gain + np.maximum(rows[:, self._viscous], 0.0) <= ENERGY_SHARE * largest_work + ENERGY_FLOOR
-        within &= energy_gain + rows[:, self._numerical] <= CHURN_SHARE * largest_work + ENERGY_FLOOR
-        return within
+        within &= gained + np.maximum(rows[:, at.viscous_loss], 0.0) <= ENERGY_SHARE * work + ENERGY_FLOOR
+        within &= gained + rows[:, at.numerical_loss] <= CHURN_SHARE * work + ENERGY_FLOOR
+        return within & ~(at_frame & self.may_fold(slice(None), rows))
+
+    def may_fold(self, eye, rows: np.ndarray):
+        """Whether an eye, or each, is a shell so compressed in its row that it is to be asked whether it folds."""
+        return self._shells[eye] & ~(rows[..., at.least_stress] > self.least[eye])
+
+    def stop_of(self, eye: int, number: int, row, *, radius_mm, time_ms: float, lobes: int | None) -> RunStopped | None:
+        """The stop that row `number` of those last looked at asks for, an eye's figures; None where it asks for none.
+
+        The stop comes without a traceback, which would hold on to fields.
+        """
+        try:
+            check(
+                dict(zip(QUANTITIES, row.tolist())),
+                gained=float(gain(row[None])[0]),
+                largest_work=float(self.largest_work[number]),
+                case=self.cases[eye],
+                advice=self.advice[eye],
+                radius_mm=radius_mm,
+                time_ms=time_ms,
+                lobes=lobes,
+            )
+        except RunStopped as stop:
+            return stop.with_traceback(None)
+        return None
 
 
-def _advice_unstable(scene) -> str:
-    numerics, cornea = scene.numerics, scene.cornea
-    advice = (
-        f"Lower numerics.cfl (now {numerics.cfl:g}) or raise numerics.dissipation (now "
-        f"{numerics.dissipation:g}; below 0.3 the scheme is unstable)."
+def gain(rows: np.ndarray) -> np.ndarray:
+    """Energy [J] that is stored beyond the work of the puff, of rows of figures."""
+    return rows[:, STORED_COLUMNS].sum(1) - rows[:, at.puff_work]
+
+
+def liquid_advice(case: Case) -> Advice:
+    """What the resolved liquid's rung says."""
+    scene, eye, scheme = case.scene, case.eye, case.scheme
+    unstable = (
+        f"Lower numerics.cfl (now {scheme.cfl:g}) or raise numerics.dissipation (now "
+        f"{scheme.dissipation:g}; below 0.3 the scheme is unstable)."
     )
-    mass_ratio = cornea.density_kg_m3 * cornea.thickness_mm / (scene.aqueous.density_kg_m3 * numerics.spacing_mm)
+    mass_ratio = eye.cornea.density * eye.cornea.thickness / (eye.liquid.density * scheme.spacing)
     if mass_ratio < LIGHT:
-        advice += (
+        unstable += (
             f" The cornea is light against a layer of nodes (mass ratio {mass_ratio:.2g}): halve numerics.cfl or "
             "numerics.spacing_mm."
         )
-    if numerics.wall_condition == "no_slip":
-        advice += (
+    if scheme.no_slip:
+        unstable += (
             ' numerics.wall_condition = "no_slip" feeds energy where the nodes are coarser than the Stokes layer: use '
             '"slip", or lower numerics.spacing_mm.'
         )
-    return advice
+    back = "Lower puff.peak_kpa, raise eye.iop_mmhg or chamber.depth_mm" + (
+        "." if scene.chamber.sealed else ", or keep the fluid in: chamber.sealed = true."
+    )
+    return Advice(unstable, back)

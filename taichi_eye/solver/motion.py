@@ -18,6 +18,12 @@ class Motion:
         for i in range(self.aqueous.neighbours.total[None]):
             self.aqueous.move_node(i, self.cornea.rest, self.cornea.place)
 
+    @ti.kernel
+    def move_nodes_under(self, wall_place: ti.template()):
+        """The same for a cornea at `wall_place`, a field like its own places."""
+        for i in range(self.aqueous.neighbours.total[None]):
+            self.aqueous.move_node(i, self.cornea.rest, wall_place)
+
     @ti.func
     def move_eye(self, eye):
         """The same for the nodes of one eye."""

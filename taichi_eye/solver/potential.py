@@ -37,18 +37,7 @@ from taichi_eye.mfpm.operators import WEIGHT_RADIUS
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.cornea import Cornea
 from taichi_eye.solver.motion import Motion
-
-
-def ring_areas(places: np.ndarray) -> np.ndarray:
-    """Area vectors [m^2], shape [walls, 2], of the rings at `places`: dV/dx, nothing at the limbus, no radial part on
-    the axis (`Cornea.volume_gradient`, `Cornea.held`)."""
-    edge = np.diff(places, axis=0)
-    radius = 0.5 * (places[1:, 0] + places[:-1, 0])
-    area = np.zeros_like(places)
-    area[:-1] += np.pi * radius[:, None] * np.column_stack([-edge[:, 1], radius])
-    area[1:-1] += np.pi * radius[:-1, None] * np.column_stack([-edge[:-1, 1], -radius[:-1]])
-    area[0, 0] = 0.0
-    return area
+from taichi_eye.solver.rings import ring_areas
 
 
 @ti.data_oriented
@@ -184,23 +173,28 @@ class PotentialFlow:
             : self.fit_walls
         ]
 
-    def show(self, potential: np.ndarray, rate: np.ndarray, wall_pressure: float, density: float) -> None:
+    def show(
+        self, potential: np.ndarray, rate: np.ndarray, wall_velocity, wall_pressure: float, density: float
+    ) -> None:
         """Fill the liquid's velocity and excess pressure from phi and d phi/dt of each node, which moves with the wall.
 
-        wall_pressure [Pa]: mean excess pressure on the wall, which the free constant of the pressure is set by.
+        wall_velocity: field on the wall nodes [m/s]; wall_pressure [Pa]: mean excess pressure on the wall, which the
+        free constant of the pressure is set by.
         """
-        self._show(potential, rate, density)
+        self._show(potential, rate, wall_velocity, density)
         area = np.linalg.norm(ring_areas(self.cornea.place.to_numpy()[: self.walls]), axis=1)
         found = self.aqueous.pressure.to_numpy()[: self.walls]
         self._lift(wall_pressure - float((area * found).sum() / area.sum()))
 
     @ti.kernel
-    def _show(self, potential: ti.types.ndarray(), rate: ti.types.ndarray(), density: float):
+    def _show(
+        self, potential: ti.types.ndarray(), rate: ti.types.ndarray(), wall_velocity: ti.template(), density: float
+    ):
         for i in range(potential.shape[0]):
             self.aqueous.momentum_row[i][0] = potential[i]
         for i in range(potential.shape[0]):
             velocity = self.aqueous.operators.gradient_of_first(i, self.aqueous.momentum_row)
-            carried = self.aqueous.wall_share(i, self.cornea.velocity)
+            carried = self.aqueous.wall_share(i, wall_velocity)
             self.aqueous.velocity[i] = velocity
             self.aqueous.pressure[i] = -density * (rate[i] - carried.dot(velocity) + 0.5 * velocity.norm_sqr())
 

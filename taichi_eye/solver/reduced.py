@@ -1,12 +1,14 @@
-"""The reduced rungs of the ladder as simulations: `membrane`, `cavity`, `added_mass`
-(`taichi_eye.solver.wall_stepper`).
+"""The reduced rungs of the ladder as simulations: `Membrane`, `Cavity`, `AddedMass`, and `ThinLayer` for pilots.
 
-A run without callbacks is a handful of kernel launches: milliseconds. Frames are kept, so that a run that has been made
-can be filmed afterwards. Where a film shows the liquid, its velocity and pressure at a frame are those of potential
-flow under the wall's own motion, computed for that frame alone: the wall of a cheap rung drives them, they do not act
-back.
+What each feels of the liquid is told in `taichi_eye.solver.wall_stepper`. A run without callbacks is a handful of
+kernel launches: milliseconds. Frames are kept, so that a run that has been made can be filmed afterwards. Where a film
+shows
+the liquid, its velocity and pressure at a frame are those of potential flow under the wall's own motion, computed for
+that
+frame alone: the wall of a cheap rung drives them, they do not act back.
 """
 
+import ast
 import math
 from collections.abc import Callable
 from dataclasses import asdict
@@ -17,31 +19,28 @@ from taichi_eye import backend
 from taichi_eye.cloud.packing import Cloud, cornea_elements, pack
 from taichi_eye.cloud.quality import measure
 from taichi_eye.errors import RunStopped
-from taichi_eye.eye.puff import Puff
-from taichi_eye.eye.section import Section
-from taichi_eye.eye.tissue import flexural_rigidity
 from taichi_eye.solver.aqueous import Aqueous
-from taichi_eye.solver.batch import SAMPLE_MS
+from taichi_eye.solver.case import case_of
 from taichi_eye.solver.cornea import Cornea
+from taichi_eye.solver.figures import at, at_rest, traces_of
 from taichi_eye.solver.folding import Folding
-from taichi_eye.solver.guards import failing, is_shell, least_stress
+from taichi_eye.solver.guards import CLOSED, Advice, Guard
 from taichi_eye.solver.motion import Motion
-from taichi_eye.solver.potential import LayerFlow, PotentialFlow, ring_areas
+from taichi_eye.solver.potential import LayerFlow, PotentialFlow
 from taichi_eye.solver.rest import place_cornea
-from taichi_eye.solver.wall_stepper import CLOSED, FIGURES, GREW, NOT_FINITE, PUFF_ROWS, RUNNING, SLACK, WallStepper
+from taichi_eye.solver.rings import ring_areas
+from taichi_eye.solver.state import State
+from taichi_eye.solver.timestep import bending_limit
+from taichi_eye.solver.wall_stepper import PUFF_ROWS, RUNNING, WallStepper
 from taichi_eye.solver.workspace import capacity, reuse
-from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
+from taichi_eye.units import MM, MS
 
 BULK_MODULUS = 2.2e9  # Pa, water
-STOPS = {
-    CLOSED: (
-        "the cornea reached the back of the chamber",
-        "Lower puff.peak_kpa, raise eye.iop_mmhg or chamber.depth_mm, or model the liquid that is in the way: "
-        'numerics.fidelity = "mfpm".',
-    ),
-    NOT_FINITE: ("a value is not finite any more", "Lower numerics.cfl."),
-    GREW: ("energy grew without work", 'Lower numerics.cfl, or use numerics.fidelity = "mfpm".'),
-}
+ADVICE = Advice(
+    unstable='Lower numerics.cfl, or use numerics.fidelity = "mfpm".',
+    back="Lower puff.peak_kpa, raise eye.iop_mmhg or chamber.depth_mm, or model the liquid that is in the way: "
+    'numerics.fidelity = "mfpm".',
+)
 
 
 class _Wall:
@@ -61,71 +60,68 @@ class _Liquid:
 
 
 class Reduced:
-    """A scene under a reduced model.
+    """A scene under a reduced model; a subclass says which.
 
-    scene: resolved; model: a rung, or "layer" (thin-layer flow, a pilot's); cloud: its `cloud_of` where there is one
-    already. Public: cornea (fields), section, cloud (None until a flow is asked for), traces (dict of arrays so far),
-    steps, refreshes, samples of the whole run,
-    frames [frame, node, 7] as `WallStepper.advance` keeps them.
+    scene: resolved; cloud: its `cloud_of` where there is one already. Public: eye, clock, cornea (fields), section,
+    cloud (None until a flow is asked for), traces (dict of arrays so far), steps, refreshes, frames [frame, node, 7] as
+    `WallStepper.advance` keeps them, out_of_validity (whether a guard stopped the run for what the model is not made
+    for, and not for its numerics).
     """
 
-    def __init__(self, scene, model: str, cloud: Cloud | None = None):
-        self.scene, self.model = scene, model
-        self.puff = Puff.from_scene(scene)
-        self.section = Section.from_scene(scene)
-        self.flowing = model in ("layer", "added_mass")
-        self.spacing = scene.numerics.spacing_mm * MM
+    flowing = False  # whether the pressure varies along the wall
+    holds_volume = True  # whether a sealed chamber is felt
+    words = ""  # the model of the liquid in a line
+
+    def __init__(self, scene, cloud: Cloud | None = None):
+        self.scene, self.case = scene, case_of(scene)
+        self.eye, self.scheme, self.clock = self.case.eye, self.case.scheme, self.case.clock
+        self.section, self.puff, self.spacing = self.eye.section, self.eye.puff, self.scheme.spacing
         self.cloud = cloud
-        if model == "added_mass" and cloud is None:
-            self.cloud = pack(self.section, self.spacing)
         self.wall_count = cornea_elements(self.section, self.spacing) + 1
         size = capacity(self.wall_count, 16)
-        wall = reuse(self, (backend.generation(), "wall", size, self.flowing), lambda: _Wall(size, self.flowing))
+        self.generation = backend.generation()
+        kind = (self.generation, "wall", size, self.flowing)
+        wall = reuse(self, kind, lambda: _Wall(size, self.flowing))
         self.cornea, self.stepper = wall.cornea, wall.stepper
-        self._liquid, self._layer = None, LayerFlow(self.cornea, self.section)
-        self._neumann, self._refreshed_ms, self._filmed_ms = None, 0.0, 0.0
-        self._lobes: int | None = None
+        self._liquid: _Liquid | None = None
+        self._neumann, self._refreshed_ms, self._maps = None, 0.0, None
+        # the frame last shown with its liquid, and the flow map there
+        self._filmed: tuple[int, np.ndarray] | None = None
         self._place_at_rest()
-        frame = scene.camera.frame_interval_ms
-        self.samples_per_frame = max(1, math.ceil(frame / SAMPLE_MS - 1e-9))
-        self.sample_ms = frame / self.samples_per_frame
-        self.samples = int(math.floor(scene.numerics.duration_ms / self.sample_ms + 1e-9))
-        times = np.arange(self.samples * PUFF_ROWS + 2) * (self.sample_ms * MS / PUFF_ROWS)
+        clock = self.clock
+        times = np.arange(clock.samples * PUFF_ROWS + 2) * (clock.sample_s / PUFF_ROWS)
         self._puff_table = self.puff.pressure_at_apex(times)
-        self._record = np.zeros((self.samples + 1, len(FIGURES)))
-        self._record[0, 0], self._record[0, 2] = self.section.apex_z, scene.eye.iop_mmhg * MMHG
-        self._record[0, -1] = float(self.cornea.stress.to_numpy()[: self.wall_count - 1].min())
-        count = min(scene.camera.frame_count, self.samples // self.samples_per_frame + 1)
-        self.frames = np.zeros((count, self.wall_count, 7))
+        self._record = at_rest(clock.samples + 1)
+        self._record[0, at.apex_place], self._record[0, at.fluid_pressure_apex] = self.section.apex_z, self.eye.iop
+        self._record[0, at.least_stress] = float(self.cornea.stress.to_numpy()[: self.wall_count - 1].min())
+        self.frames = np.zeros((clock.frames, self.wall_count, 7))
         self.frames[0, :, :2] = self.section.cornea_nodes(self.wall_count - 1)
+        self._guard = Guard([self.case], [ADVICE])
+        self.stop: RunStopped | None = None
+        self.out_of_validity = False
         self.sample = self.reached = self.refreshes = 0
+        self._shown, self._next = 0, 0  # the frame handed to callbacks last, and the one to be handed next
 
     def _place_at_rest(self) -> None:
-        scene, cornea = self.scene, self.scene.cornea
-        nodes = place_cornea(self.cornea, scene, self.section, self.puff, self.wall_count - 1)
+        eye = self.eye
+        nodes = place_cornea(self.cornea, eye, self.wall_count - 1)
         volume = self.section.volume()
-        globe = scene.chamber.compliance_mm3_mmhg * MM3 / MMHG
-        thickest = max(cornea.thickness_mm, cornea.limbus_thickness_mm) * MM
-        thinnest = min(cornea.thickness_mm, cornea.limbus_thickness_mm) * MM
-        sudden = (1.0 + cornea.viscoelastic_share) * cornea.flexural_modulus_mpa * 1e6
-        rigidity = flexural_rigidity(sudden, thickest, cornea.poisson_ratio)
-        bending = 0.5 * math.sqrt(cornea.density_kg_m3 * thinnest / rigidity) if rigidity > 0.0 else math.inf
         self.stepper.setup(
-            self.section.back_height(nodes[:, 0]),
-            volume,
-            volume / BULK_MODULUS,
-            globe,
-            scene.chamber.globe_delay_ms * MS,
-            scene.chamber.sealed and self.model != "membrane",
-            scene.aqueous.density_kg_m3,
-            bending,
-            -math.inf if is_shell(scene) else 0.0,
+            back=self.section.back_height(nodes[:, 0]),
+            volume=volume,
+            compliance=volume / BULK_MODULUS,
+            globe_compliance=eye.globe.compliance,
+            globe_delay=eye.globe.delay,
+            sealed=eye.liquid.sealed and self.holds_volume,
+            density=eye.liquid.density,
+            bending_step=bending_limit(eye),
+            least_stress=-math.inf if eye.cornea.is_shell else 0.0,
         )
 
     @property
     def time_ms(self) -> float:
         """Simulated time of the last sample."""
-        return self.sample * self.sample_ms
+        return self.sample * self.clock.sample_ms
 
     @property
     def steps(self) -> int:
@@ -133,14 +129,14 @@ class Reduced:
         return int(self.stepper.steps[None])
 
     @property
-    def out_of_validity(self) -> bool:
-        """Whether the run was stopped by what the model is not made for, and not by the numerics."""
-        return self._lobes is not None or int(self.stepper.status[None]) in (SLACK, CLOSED)
+    def wall_velocity(self):
+        """Field of the wall's velocity at the frame shown [m/s], the first `wall_count` nodes."""
+        return self.stepper.shown_velocity
 
     @property
     def wall_mm(self) -> tuple[np.ndarray, np.ndarray]:
         """Times [ms] of the frames reached and the wall's places (r, z) there [mm], [frames, nodes, 2]."""
-        count = min(self.reached // self.samples_per_frame + 1, len(self.frames))
+        count = min(self.reached // self.clock.samples_per_frame + 1, len(self.frames))
         return np.arange(count) * self.scene.camera.frame_interval_ms, self.frames[:count, :, :2] / MM
 
     def run(
@@ -148,68 +144,99 @@ class Reduced:
         on_frame: Callable[["Reduced", int], None] | None = None,
         on_sample: Callable[["Reduced"], None] | None = None,
     ) -> dict[str, np.ndarray]:
-        """Run to the end, then show the frames: on_frame(self, frame) and on_sample(self) at each.
+        """Run to the end; call on_sample(self) and on_frame(self, frame) at each film frame, in this order.
 
-        A run that has been made is only shown. Returns the traces as arrays. Raises RunStopped where the model leaves
-        its validity, after the frames up to there; `traces` keeps what was computed.
+        A run that has been made is only shown; one that was restored goes on after the frame of its state. Returns the
+        traces as arrays. Raises RunStopped where the model leaves its validity, after the frames up to there; `traces`
+        keeps what was computed.
         """
-        self._advance()
+        backend.refuse_lost(self.generation)
         if on_frame or on_sample:
-            for frame in range(len(self.wall_mm[0])):
-                self.sample = frame * self.samples_per_frame
-                self.stepper.show(self.frames[frame])
+            for frame in range(self._next, self.clock.frames):
+                sample = frame * self.clock.samples_per_frame
+                self._advance(sample)
+                if sample > self.reached:
+                    break
+                self.sample, self._shown, self._next = sample, frame, frame + 1
+                self.stepper.show(self.frames[frame], sample < self.reached)
                 if on_sample:
                     on_sample(self)
                 if on_frame:
                     on_frame(self, frame)
+        self._advance(self.clock.samples)
         self.sample = self.reached
         if on_sample:
             on_sample(self)
-        self._check()
-        return self.arrays()
+        self._next = 0
+        if self.stop is not None:
+            raise RunStopped(*self.stop.args)
+        return self.traces
 
-    def _advance(self) -> None:
-        far = self.scene.numerics.refresh_travel * self.spacing
-        while self.reached < self.samples and self.stepper.status[None] == RUNNING:
-            if self.flowing:
+    def _advance(self, to: int) -> None:
+        """Solve up to a sample, or to where a guard stops."""
+        while self.reached < to and self.stop is None:
+            if self.flowing and self.stepper.aged[None]:
                 self._refresh()
+            self.stepper.status[None] = RUNNING
+            before = self.reached
             self.reached = self.stepper.advance(
                 self._puff_table,
-                self.reached,
-                self.samples,
-                self.sample_ms * MS,
-                self.scene.numerics.cfl,
-                far,
+                before,
+                to,
+                self.clock.sample_s,
+                self.scheme.cfl,
+                self.scheme.refresh_distance,
                 self._record,
-                self.samples_per_frame,
+                self.clock.samples_per_frame,
                 self.frames,
             )
-        if is_shell(self.scene) and self._lobes is None:
-            self._stop_where_it_folds()
+            self._look(before)
 
-    def _stop_where_it_folds(self) -> None:
-        """End a shell's run at the first frame that folds (`taichi_eye.solver.guards`)."""
-        nodes, iop = self.section.cornea_nodes(self.wall_count - 1), self.scene.eye.iop_mmhg * MMHG
-        folding, shape, limit = (
-            Folding.from_scene(self.scene, nodes),
-            self.puff.radial(nodes[:, 0]),
-            least_stress(self.scene),
-        )
-        for frame in range(len(self.wall_mm[0])):
-            sample = frame * self.samples_per_frame
-            if self._record[sample, FIGURES.index("least_stress")] <= limit:
-                air = self.puff.pressure_at_apex(sample * self.sample_ms * MS) * shape
-                self._lobes = folding.lobes(self.frames[frame, :, :2], iop + self.frames[frame, :, 6] - air)
-                if self._lobes is not None:
-                    self.reached = sample
-                    return
+    def _look(self, before: int) -> None:
+        """Put the samples after `before` to the guards; a stop ends the run at the last sound one."""
+        samples = np.arange(before + 1, self.reached + 1)
+        rows = self._record[samples]
+        at_frame = samples % self.clock.samples_per_frame == 0
+        calm = self._guard.where_calm(rows, at_frame)
+        for number in np.flatnonzero(~calm):
+            sample = int(samples[number])
+            lobes = self._lobes(sample) if at_frame[number] else None
+            self.stop = self._guard.stop_of(
+                0,
+                number,
+                rows[number],
+                radius_mm=lambda node: self.section.cornea_nodes(self.wall_count - 1)[node, 0] / MM,
+                time_ms=sample * self.clock.sample_ms,
+                lobes=lobes,
+            )
+            if self.stop is not None:
+                row = rows[number]
+                self.out_of_validity = lobes is not None or bool(
+                    row[at.chamber_gap] < CLOSED or not self.eye.cornea.is_shell and row[at.least_stress] <= 0.0
+                )
+                self.reached = sample - 1
+                return
+
+    def _lobes(self, sample: int) -> int | None:
+        """The lobes into which a shell folds at a film frame's sample, asked once it is compressed enough."""
+        frame = self.clock.frame_of(sample)
+        if frame is None or not self._guard.may_fold(0, self._record[sample]):
+            return None
+        nodes = self.section.cornea_nodes(self.wall_count - 1)
+        air = self.puff.pressure_at_apex(sample * self.clock.sample_s) * self.puff.radial(nodes[:, 0])
+        net = self.eye.iop + self.frames[frame, :, 6] - air
+        return Folding.of(self.eye, nodes).lobes(self.frames[frame, :, :2], net)
+
+    def _flow_maps(self):
+        """What makes flow maps of a wall: an object with `refresh()` and `neumann`; asked for where `flowing`."""
+        raise TypeError(f"{type(self).__name__} has no flow")
 
     def _refresh(self) -> None:
         """New flow maps for the present wall; their rate of change is that since the last ones."""
-        flow = self._flow() if self.model == "added_mass" else self._layer
+        flow = self._flow_maps()
         before, when = self._neumann, self._refreshed_ms
         flow.refresh()
-        now = self.reached * self.sample_ms
+        now = self.reached * self.clock.sample_ms
         since = (now - when) * MS
         walls = self.wall_count - 1
         rate = (flow.neumann - before) / since if before is not None and since > 0.0 else np.zeros_like(flow.neumann)
@@ -217,27 +244,28 @@ class Reduced:
         area = ring_areas(self.cornea.place.to_numpy()[: self.wall_count])[:walls]
         mass = self.cornea.mass.to_numpy()[:walls]
         neumann = flow.neumann[:walls, :walls]
-        system = np.eye(walls) + self.scene.aqueous.density_kg_m3 * neumann * ((area**2).sum(1) / mass)
+        system = np.eye(walls) + self.eye.liquid.density * neumann * ((area**2).sum(1) / mass)
         inverse = np.linalg.inv(system)
-        unit = inverse.sum(1) * float(self.scene.chamber.sealed)
-        self.stepper.load_flow(np.ascontiguousarray(neumann), inverse, np.ascontiguousarray(rate[:walls, :walls]), unit)
+        unit = inverse.sum(1) * float(self.eye.liquid.sealed)
+        self._maps = np.ascontiguousarray(neumann), inverse, np.ascontiguousarray(rate[:walls, :walls]), unit
+        self.stepper.load_flow(*self._maps)
         self.refreshes += 1
 
-    def _flow(self) -> PotentialFlow:
+    def _potential_flow(self) -> PotentialFlow:
+        """Potential flow on the node cloud, which is packed once it is asked for."""
         if self._liquid is None:
             if self.cloud is None:
                 self.cloud = pack(self.section, self.spacing)
             size = capacity(self.cloud.count)
-            self._liquid = reuse(
-                self, (backend.generation(), "liquid", self.cornea, size), lambda: _Liquid(self.cornea, size)
-            )
-            aqueous = self.scene.aqueous
+            kind = (self.generation, "liquid", self.cornea, size)
+            self._liquid = reuse(self, kind, lambda: _Liquid(self.cornea, size))
+            liquid = self.eye.liquid
             self._liquid.aqueous.setup(
                 self.cloud,
-                aqueous.density_kg_m3,
-                aqueous.viscosity_mpa_s * MPA_S,
-                self.scene.numerics.sound_speed_m_s,
-                0.0,
+                density=liquid.density,
+                viscosity=liquid.viscosity,
+                sound_speed=self.scheme.sound_speed,
+                dissipation=0.0,
             )
             self._liquid.flow.setup(self.cloud)
         return self._liquid.flow
@@ -247,25 +275,36 @@ class Reduced:
 
         Potential flow under the wall's motion at that frame (see the head of this module).
         """
-        flow, fields = self._flow(), self._liquid.aqueous
-        wall = self.frames[self.sample // self.samples_per_frame]
+        backend.refuse_lost(self.generation)
+        flow, fields = self._potential_flow(), self._liquid.aqueous
+        frame = self._shown
+        if frame > 0 and (self._filmed is None or self._filmed[0] != frame - 1):
+            self._filmed = frame - 1, self._flow_at(frame - 1)
+        wall = self.frames[frame]
         place, velocity, acceleration = wall[:, :2], wall[:, 2:4], wall[:, 4:6]
-        before, when = flow.flow, self._filmed_ms
         flow.refresh()
-        self._filmed_ms = self.time_ms
-        span = (self.time_ms - when) * MS
         area = ring_areas(place)
         # the area vectors are quadratic in the places: their central difference is exact
         turning = 0.5 * (ring_areas(place + velocity) - ring_areas(place - velocity))
         flux, flux_rate = (area * velocity).sum(1), (area * acceleration + turning * velocity).sum(1)
         rate = flow.flow @ flux_rate
-        if before is not None and span > 0.0:
-            rate += (flow.flow - before) @ (flux / span)
+        if frame > 0:
+            rate += (flow.flow - self._filmed[1]) @ (flux / (self.scene.camera.frame_interval_ms * MS))
+        self._filmed = frame, flow.flow
         size = np.linalg.norm(area, axis=1)
-        flow.show(
-            flow.flow @ flux, rate, float((size * wall[:, 6]).sum() / size.sum()), self.scene.aqueous.density_kg_m3
-        )
+        mean = float((size * wall[:, 6]).sum() / size.sum())
+        flow.show(flow.flow @ flux, rate, self.stepper.shown_velocity, mean, self.eye.liquid.density)
         return fields.place, fields.velocity, fields.pressure, self.cloud.count
+
+    def _flow_at(self, frame: int) -> np.ndarray:
+        """The flow map of the wall at a frame; the wall itself stays where it is."""
+        kept = np.zeros((self.wall_count, 7))
+        kept[:, :2] = self.cornea.place.to_numpy()[: self.wall_count]
+        kept[:, 2:4] = self.stepper.shown_velocity.to_numpy()[: self.wall_count]
+        self.stepper.show(self.frames[frame], True)
+        self._liquid.flow.refresh()
+        self.stepper.show(kept, True)
+        return self._liquid.flow.flow
 
     def facts(self) -> dict:
         """What a summary tells about the discretisation and the work done."""
@@ -274,56 +313,97 @@ class Reduced:
 
     def about(self) -> str:
         """The model of the liquid in a line."""
-        return {
-            "membrane": "the IOP, whatever the volume",
-            "cavity": "a uniform pressure that holds the volume",
-            "layer": "potential flow of a thin layer",
-            "added_mass": "potential flow, its map made anew every "
-            f"{self.scene.numerics.refresh_travel:g} spacings of travel",
-        }[self.model]
-
-    def _check(self) -> None:
-        status = int(self.stepper.status[None])
-        if self._lobes is None and status == RUNNING:
-            return
-        nodes = self.section.cornea_nodes(self.wall_count - 1)
-        radius = nodes[int(self.stepper.place_of_failure[None]), 0]
-        if self._lobes is not None:
-            radius = Folding.from_scene(self.scene, nodes).ring(
-                self.frames[self.reached // self.samples_per_frame, :, :2]
-            )
-        what, advice = STOPS.get(status) or failing(
-            self._record[self.reached, FIGURES.index("least_stress")], self._lobes
-        )
-        raise RunStopped(what, f"at r = {radius / MM:.2f} mm", self.time_ms, advice)
+        return self.words
 
     @property
     def traces(self) -> dict[str, np.ndarray]:
-        """The traces up to the sample shown, one array per column; SI of the kernels in the units of the names."""
-        taken = {name: column for name, column in zip(FIGURES, self._record[: self.sample + 1].T)}
-        time_ms = np.arange(self.sample + 1) * self.sample_ms
-        energies = {
-            f"{name}_uj": taken[name] * 1e6
-            for name in ("puff_work", "cornea_elastic", "cornea_kinetic", "aqueous_kinetic", "aqueous_elastic")
-        }
-        energies["tissue_loss_uj"] = taken["tissue_loss"] * 1e6
-        spent = sum(column for name, column in energies.items() if name != "puff_work_uj")
-        nothing = np.zeros(self.sample + 1)
-        return {
-            "time_ms": time_ms,
-            "apex_displacement_mm": (self.section.apex_z - taken["apex_place"]) / MM,
-            "apex_velocity_m_s": -taken["apex_velocity"],
-            "puff_apex_kpa": self.puff.pressure_at_apex(time_ms * MS) * 1e-3,
-            "fluid_pressure_apex_kpa": taken["pressure_apex"] * 1e-3,
-            "chamber_volume_error": taken["volume_error"],
-            **energies,
-            **{name: nothing for name in ("viscous_loss_uj", "numerical_loss_uj", "outflow_loss_uj")},
-            "energy_error_uj": spent - energies["puff_work_uj"],
-            "coupling_iterations": nothing,
-            "coupling_residual": nothing,
-            "cornea_min_stress_kpa": taken["least_stress"] * 1e-3,
-        }
+        """The traces up to the sample shown, one array per column."""
+        return traces_of(self._record[: self.sample + 1], self.clock, self.puff, self.section.apex_z)
 
-    def arrays(self) -> dict[str, np.ndarray]:
-        """The traces so far."""
-        return self.traces
+    def state(self) -> State:
+        """All that evolves, at the frame shown, by name; `restore` takes it up."""
+        state = {
+            **self.stepper.snapshot.take(self.wall_count, 1),
+            "figures": self._record[: self.reached + 1].copy(),
+            "frames": self.frames[: self.reached // self.clock.samples_per_frame + 1].copy(),
+            "steps": np.array(self.steps),
+            "shown": np.array(self._shown),
+            "refreshes": np.array(self.refreshes),
+            "guarded_work": self._guard.largest_work.copy(),
+            "stop": np.array(repr(self.stop.args) if self.stop else ""),
+            "out_of_validity": np.array(self.out_of_validity),
+        }
+        if self._maps is not None:
+            walls = self.wall_count - 1
+            aged = self.stepper.neumann.to_numpy()[:walls, :walls]
+            names = ("neumann", "inverse", "neumann_rate", "unit")
+            state |= {f"map_{name}": part for name, part in zip(names, (aged, *self._maps[1:]))}
+            state |= {"map_whole": self._neumann, "map_made_ms": np.array(self._refreshed_ms)}
+            state |= {"map_aged": np.array(self.stepper.aged[None])}
+        return state
+
+    def restore(self, state: State) -> None:
+        """Take up the state of a simulation of the same scene: `run` goes on after its frame. ValueError where it does
+        not fit."""
+        figures, frames = state["figures"], state["frames"]
+        if len(figures) > len(self._record) or frames.shape[1:] != self.frames.shape[1:]:
+            raise ValueError("the state belongs to another scene")
+        if "map_neumann" in state:
+            self._maps = tuple(state[f"map_{name}"] for name in ("neumann", "inverse", "neumann_rate", "unit"))
+            self._neumann, self._refreshed_ms = state["map_whole"], float(state["map_made_ms"])
+            self.stepper.load_flow(*(np.ascontiguousarray(part) for part in self._maps))
+            self.stepper.aged[None] = int(state["map_aged"])
+        self.stepper.snapshot.put(state)
+        self._record[: len(figures)], self.frames[: len(frames)] = figures, frames[: len(self.frames)]
+        self.stepper.steps[None] = int(state["steps"])
+        self.refreshes, self._shown = int(state["refreshes"]), int(state["shown"])
+        self._next = self._shown + 1
+        self.reached, self.sample = len(figures) - 1, self._shown * self.clock.samples_per_frame
+        self._guard.largest_work = state["guarded_work"].copy()
+        self.stop = RunStopped(*ast.literal_eval(str(state["stop"]))) if str(state["stop"]) else None
+        self.out_of_validity = bool(state["out_of_validity"])
+
+
+class Membrane(Reduced):
+    """The cornea under a constant IOP: no liquid, no volume to hold, no inertia."""
+
+    holds_volume = False
+    words = "the IOP, whatever the volume"
+
+
+class Cavity(Reduced):
+    """The cornea over a uniform pressure that holds the chamber's volume."""
+
+    words = "a uniform pressure that holds the volume"
+
+
+class ThinLayer(Reduced):
+    """The cornea over potential flow of a thin layer: a pilot's."""
+
+    flowing = True
+    words = "potential flow of a thin layer"
+
+    def __init__(self, scene, cloud: Cloud | None = None):
+        super().__init__(scene, cloud)
+        self._layer = LayerFlow(self.cornea, self.section)
+
+    def _flow_maps(self):
+        return self._layer
+
+
+class AddedMass(Reduced):
+    """The cornea over incompressible potential flow on the node cloud."""
+
+    flowing = True
+
+    def __init__(self, scene, cloud: Cloud | None = None):
+        super().__init__(scene, cloud)
+        if cloud is None:
+            self.cloud = pack(self.section, self.spacing)
+
+    def _flow_maps(self):
+        return self._potential_flow()
+
+    def about(self) -> str:
+        """The model of the liquid in a line."""
+        return f"potential flow, its map made anew every {self.scheme.refresh_travel:g} spacings of travel"

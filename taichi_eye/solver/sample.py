@@ -11,8 +11,9 @@ import numpy as np
 from taichi_eye import backend
 from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.solver.coupling import SERIAL_NODES, Coupling, plan_of
+from taichi_eye.solver.figures import QUANTITIES
 from taichi_eye.solver.motion import Motion
-from taichi_eye.solver.survey import QUANTITIES, Survey
+from taichi_eye.solver.survey import Survey
 
 BLOCK = 512  # least iterations of a parallel loop that Taichi hands to a CPU thread at once
 

@@ -8,7 +8,9 @@ import numpy as np
 from taichi_eye.cloud.packing import Cloud
 from taichi_eye.cloud.quality import CloudQuality, measure
 from taichi_eye.errors import RunStopped
-from taichi_eye.solver.batch import Batch, cloud_of
+from taichi_eye.solver.batch import Batch
+from taichi_eye.solver.case import cloud_of
+from taichi_eye.solver.state import State
 
 
 class Simulation:
@@ -31,8 +33,9 @@ class Simulation:
             batch.coupling,
             batch.survey,
         )
-        self.puff = batch.puffs[0]
-        self.samples_per_frame, self.sample_ms = int(batch.samples_per_frame[0]), float(batch.sample_ms[0])
+        self.case = batch.cases[0]
+        self.eye, self.clock, self.puff = self.case.eye, self.case.clock, self.case.eye.puff
+        self._restored = False
 
     @property
     def sample(self) -> int:
@@ -42,7 +45,7 @@ class Simulation:
     @property
     def time_ms(self) -> float:
         """Simulated time of the last sample."""
-        return self.sample * self.sample_ms
+        return self.sample * self.clock.sample_ms
 
     @property
     def steps(self) -> int:
@@ -68,6 +71,11 @@ class Simulation:
     def wall_count(self) -> int:
         """Nodes of the cornea."""
         return self.cloud.wall_count
+
+    @property
+    def wall_velocity(self):
+        """Field of the wall's velocity now [m/s], the first `wall_count` nodes."""
+        return self.cornea.velocity
 
     def liquid(self):
         """Fields of the liquid now: place, velocity, excess pressure, and how many nodes they hold."""
@@ -102,25 +110,35 @@ class Simulation:
         on_frame: Callable[["Simulation", int], None] | None = None,
         on_sample: Callable[["Simulation"], None] | None = None,
     ) -> dict[str, np.ndarray]:
-        """Run to the end; call on_frame(self, frame) at each film frame and on_sample(self) at each sample.
+        """Run to the end; call on_sample(self) at each sample and on_frame(self, frame) at each film frame, in this
+        order.
 
-        Returns the traces as arrays. Raises RunStopped when a guard stops the run; `traces` keeps what was computed.
+        A simulation that was restored goes on after the sample of its state. Returns the traces as arrays. Raises
+        RunStopped when a guard stops the run; `traces` keeps what was computed.
         """
-        frames = self.scene.camera.frame_count
-        self._record()
+        if not self._restored:
+            self._record()
         while True:
-            frame, rest = divmod(self.sample, self.samples_per_frame)
-            if on_sample:
-                on_sample(self)
-            if rest == 0 and frame < frames and on_frame:
-                on_frame(self, frame)
+            if not self._restored:
+                if on_sample:
+                    on_sample(self)
+                frame = self.clock.frame_of(self.sample)
+                if frame is not None and on_frame:
+                    on_frame(self, frame)
+            self._restored = False
             if not self.batch.advance():
                 return self.traces
             self._record()
 
-    def arrays(self) -> dict[str, np.ndarray]:
-        """The traces so far, one array per column."""
-        return self.traces
+    def state(self) -> State:
+        """All that evolves, at the present sample, by name; `restore` takes it up."""
+        return self.batch.state()
+
+    def restore(self, state: State) -> None:
+        """Take up the state of a simulation of the same scene: `run` goes on after its sample. ValueError where it does
+        not fit."""
+        self.batch.restore(state)
+        self._restored = True
 
     def _record(self) -> None:
         self.batch.record()

@@ -1,9 +1,7 @@
-"""What is read off the coupled state between steps: traces, energies, what the guards and the time step need.
+"""What is read off the coupled state between steps: the figures of `taichi_eye.solver.figures`.
 
-Energies, all relative to rest [J]: the puff's work must equal what cornea and aqueous humour store and move with, plus
-the viscous and the numerical loss, and what fluid carries off where it may leave. The aqueous humour stores the
-integral of p / rho^2 d rho per unit mass; its part with the IOP is IOP (V0 - V), which is also what pushing fluid out
-costs.
+Energies: the aqueous humour stores the integral of p / rho^2 d rho per unit mass; its part with the IOP is IOP (V0 -
+V), which is also what pushing fluid out costs.
 """
 
 import numpy as np
@@ -13,41 +11,7 @@ from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.cornea import Cornea
 from taichi_eye.solver.coupling import Coupling
-
-QUANTITIES = (
-    "apex_place",
-    "apex_velocity",
-    "fluid_pressure_apex",
-    "volume_error",
-    "puff_work",
-    "cornea_elastic",
-    "cornea_kinetic",
-    "aqueous_kinetic",
-    "aqueous_elastic",
-    "viscous_loss",
-    "numerical_loss",
-    "outflow_loss",
-    "tissue_loss",
-    "least_stress",
-    "slackest_element",
-    "membrane_speed",
-    "transverse_speed",
-    "membrane_step",
-    "smallest_gap",
-    "flattest_triangle",
-    "flat_node",
-    "pair_weight",
-    "worst_condition",
-    "ill_node",
-    "chamber_gap",
-    "gap_node",
-    "not_finite",
-    "bad_node",
-    "wall_travel",
-    "coupling_sweeps",
-    "coupling_residual",
-    "coupling_status",
-)
+from taichi_eye.solver.figures import QUANTITIES, at
 
 
 @ti.data_oriented
@@ -84,7 +48,7 @@ class Survey:
         ti.loop_config(serialize=True)
         for _ in range(ONE_TASK):
             self.rest_energy[eye] = self.cornea.elastic_energy(eye)
-            self.coupling.rest_enclosed[eye] = self.cornea.enclosed_volume(eye)
+            self.coupling.rest_enclosed[eye] = self.cornea.enclosed_volume(eye, self.cornea.place)
 
     @ti.kernel
     def remember_build(self, due: ti.types.ndarray()):
@@ -151,50 +115,46 @@ class Survey:
                 bad = i
         mean = pressure_volume / total_volume
         # the volume that the rest of the globe has taken up, and what it stores
-        yielded, stretched = self.aqueous.taken_up[eye], 0.0
-        if self.aqueous.compliance[eye] > 0.0:
-            stretched = 0.5 * yielded * yielded / self.aqueous.compliance[eye]
+        yielded, stretched = self.aqueous.globe.taken_up[eye], self.aqueous.globe.stored(eye)
         # the liquid's mean is stiffer than its waves: what the nodes' own elastic energy has too much of it
         spared = (
             rest_volume
             / self.aqueous.density0[eye]
             * (1.0 / self.aqueous.sound_speed[eye] ** 2 - 1.0 / self.aqueous.mean_speed[eye] ** 2)
         )
-        figures = (
-            self.cornea.place[first][1],
-            self.cornea.velocity[first][1],
-            self.cornea.iop[eye] + self.aqueous.pressure[first],
-            (volume + yielded) / rest_volume - 1.0,
-            self.cornea.puff_work[eye],
-            self.cornea.elastic_energy(eye) - self.rest_energy[eye],
-            self.cornea.kinetic_energy(eye),
-            kinetic,
-            elastic + self.cornea.iop[eye] * (rest_volume - volume) + stretched - 0.5 * spared * mean * mean,
-            viscous,
-            numerical,
-            carried,
-            self.cornea.relaxed_work[eye] + self.aqueous.globe_work[eye] - stretched,
-            least,
-            slackest - first,
-            in_plane,
-            transverse,
-            step,
-            ti.sqrt(gap),
-            flattest,
-            flat - first,
-            heaviest,
-            worst,
-            ill - first,
-            room,
-            near - first,
-            ti.select(bad >= 0, 1.0, 0.0),
-            ti.max(bad - first, -1),
-            travel,
-            self.coupling.sweeps[eye],
-            self.coupling.worst_residual[eye],
-            self.coupling.status[eye],
+        rows[eye, at.apex_place] = self.cornea.place[first][1]
+        rows[eye, at.apex_velocity] = self.cornea.velocity[first][1]
+        rows[eye, at.fluid_pressure_apex] = self.cornea.iop[eye] + self.aqueous.pressure[first]
+        rows[eye, at.volume_error] = (volume + yielded) / rest_volume - 1.0
+        rows[eye, at.puff_work] = self.cornea.puff_work[eye]
+        rows[eye, at.cornea_elastic] = self.cornea.elastic_energy(eye) - self.rest_energy[eye]
+        rows[eye, at.cornea_kinetic] = self.cornea.kinetic_energy(eye)
+        rows[eye, at.aqueous_kinetic] = kinetic
+        rows[eye, at.aqueous_elastic] = (
+            elastic + self.cornea.iop[eye] * (rest_volume - volume) + stretched - 0.5 * spared * mean * mean
         )
-        for q in ti.static(range(len(QUANTITIES))):
-            rows[eye, q] = figures[q]
+        rows[eye, at.viscous_loss] = viscous
+        rows[eye, at.numerical_loss] = numerical
+        rows[eye, at.outflow_loss] = carried
+        rows[eye, at.tissue_loss] = self.cornea.relaxed_work[eye] + self.aqueous.globe.work[eye] - stretched
+        rows[eye, at.least_stress] = least
+        rows[eye, at.slackest_element] = slackest - first
+        rows[eye, at.membrane_speed] = in_plane
+        rows[eye, at.transverse_speed] = transverse
+        rows[eye, at.membrane_step] = step
+        rows[eye, at.smallest_gap] = ti.sqrt(gap)
+        rows[eye, at.flattest_triangle] = flattest
+        rows[eye, at.flat_node] = flat - first
+        rows[eye, at.pair_weight] = heaviest
+        rows[eye, at.worst_condition] = worst
+        rows[eye, at.ill_node] = ill - first
+        rows[eye, at.chamber_gap] = room
+        rows[eye, at.gap_node] = near - first
+        rows[eye, at.not_finite] = ti.select(bad >= 0, 1.0, 0.0)
+        rows[eye, at.bad_node] = ti.max(bad - first, -1)
+        rows[eye, at.wall_travel] = travel
+        rows[eye, at.coupling_sweeps] = self.coupling.sweeps[eye]
+        rows[eye, at.coupling_residual] = self.coupling.worst_residual[eye]
+        rows[eye, at.coupling_status] = self.coupling.status[eye]
         self.coupling.sweeps[eye] = 0
         self.coupling.worst_residual[eye] = 0.0

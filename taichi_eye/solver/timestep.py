@@ -27,9 +27,6 @@ import math
 
 import numpy as np
 
-from taichi_eye.eye.section import Section
-from taichi_eye.eye.tissue import flexural_rigidity
-
 NAMES = (
     "acoustic",
     "dissipation",
@@ -43,43 +40,16 @@ NAMES = (
 
 
 class StepLimits:
-    """The limits of several resolved scenes together, arrays over the scenes."""
+    """The limits of several cases together, arrays over them."""
 
-    def __init__(self, scenes):
-        self._slope, self._offset, self._damping, self._friction, self._bending, self._coupling, volume, self._cfl = (
-            np.array([self._constants(scene) for scene in scenes]).T
-        )
-        self._table = np.empty((len(NAMES), len(volume)))
-        self._table[7] = volume
-
-    @staticmethod
-    def _constants(scene):
-        numerics, cornea, density = scene.numerics, scene.cornea, scene.aqueous.density_kg_m3
-        c, alpha, spacing = numerics.sound_speed_m_s, numerics.dissipation, numerics.spacing_mm
-        wall_mass = cornea.density_kg_m3 * min(cornea.thickness_mm, cornea.limbus_thickness_mm) * 1e-3
-        thickest = max(cornea.thickness_mm, cornea.limbus_thickness_mm) * 1e-3
-        sudden = (1.0 + cornea.viscoelastic_share) * cornea.flexural_modulus_mpa * 1e6
-        rigidity = flexural_rigidity(sudden, thickest, cornea.poisson_ratio)
-        friction = 4.0 * scene.aqueous.viscosity_mpa_s * 1e-3
-        return (
-            0.6 * c,
-            0.72 * alpha * spacing * 1e-3 * c,
-            0.55 / max(alpha * c * spacing * 1e-3, 1e-30),
-            density / friction if friction > 0.0 else math.inf,
-            0.5 * math.sqrt(wall_mass / rigidity) if rigidity > 0.0 else math.inf,
-            math.sqrt(wall_mass / density) / c,
-            StepLimits._volume_limit(scene, wall_mass),
-            numerics.cfl,
-        )
-
-    @staticmethod
-    def _volume_limit(scene, wall_mass: float) -> float:
-        section, numerics = Section.from_scene(scene), scene.numerics
-        area = 2.0 * math.pi * section.radius * section.apex_z
-        spread = numerics.mean_sound_speed_m_s**2 - numerics.sound_speed_m_s**2
-        if not scene.chamber.sealed or spread <= 0.0:
-            return math.inf
-        return math.sqrt(wall_mass * section.volume() / (scene.aqueous.density_kg_m3 * area * spread))
+    def __init__(self, cases):
+        constants = [_constants(case.eye, case.scheme) for case in cases]
+        column = lambda name: np.array([found[name] for found in constants])
+        self._slope, self._offset, self._damping = column("slope"), column("offset"), column("damping")
+        self._friction, self._bending, self._coupling = column("friction"), column("bending"), column("coupling")
+        self._cfl = np.array([case.scheme.cfl for case in cases])
+        self._table = np.empty((len(NAMES), len(constants)))
+        self._table[7] = column("volume")
 
     def of(self, figures) -> np.ndarray:
         """All limits [s] of the scenes, a row to each of NAMES, from a survey's figures; the next call overwrites
@@ -103,13 +73,43 @@ class StepLimits:
         return self._cfl * table.min(0), table.argmin(0)
 
 
-def limits(figures: dict[str, float], scene) -> dict[str, float]:
-    """All limits [s] by name, from a survey's figures and a resolved scene."""
-    return {name: float(value) for name, (value,) in zip(NAMES, StepLimits([scene]).of(figures))}
+def _constants(eye, scheme) -> dict[str, float]:
+    """What of the limits does not change in a run, by name."""
+    c, density, wall_mass = scheme.sound_speed, eye.liquid.density, eye.cornea.density * eye.cornea.thinnest
+    damping, friction = scheme.dissipation_length, 4.0 * eye.liquid.viscosity
+    return {
+        "slope": 0.6 * c,
+        "offset": 0.72 * damping,
+        "damping": 0.55 / max(damping, 1e-30),
+        "friction": density / friction if friction > 0.0 else math.inf,
+        "bending": bending_limit(eye),
+        "coupling": math.sqrt(wall_mass / density) / c,
+        "volume": _volume_limit(eye, scheme, wall_mass),
+    }
 
 
-def stable_step(figures: dict[str, float], scene) -> tuple[float, str]:
+def bending_limit(eye) -> float:
+    """The plate's limit [s] over the square of the element's length [m]; infinite for a membrane."""
+    rigidity = eye.cornea.sudden_rigidity
+    return 0.5 * math.sqrt(eye.cornea.density * eye.cornea.thinnest / rigidity) if rigidity > 0.0 else math.inf
+
+
+def _volume_limit(eye, scheme, wall_mass: float) -> float:
+    section = eye.section
+    area = 2.0 * math.pi * section.radius * section.apex_z
+    spread = scheme.mean_sound_speed**2 - scheme.sound_speed**2
+    if not eye.liquid.sealed or spread <= 0.0:
+        return math.inf
+    return math.sqrt(wall_mass * section.volume() / (eye.liquid.density * area * spread))
+
+
+def limits(figures: dict[str, float], case) -> dict[str, float]:
+    """All limits [s] by name, from a survey's figures of one eye."""
+    return {name: float(value) for name, (value,) in zip(NAMES, StepLimits([case]).of(figures))}
+
+
+def stable_step(figures: dict[str, float], case) -> tuple[float, str]:
     """The step to take [s] and the name of the limit that set it."""
-    every = limits(figures, scene)
+    every = limits(figures, case)
     name = min(every, key=every.get)
-    return scene.numerics.cfl * every[name], name
+    return case.scheme.cfl * every[name], name

@@ -32,52 +32,56 @@ from taichi_eye.backend import real
 from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.solver import guards
 from taichi_eye.solver.cornea import Cornea
+from taichi_eye.solver.figures import at
+from taichi_eye.solver.globe import Globe
+from taichi_eye.solver.state import Snapshot
 
 SMOOTHINGS = 4  # of what is quadratic in the velocity
 PUFF_ROWS = 4  # of the puff's table per sample, linear in between
-RUNNING, SLACK, CLOSED, NOT_FINITE, GREW = range(5)
-FIGURES = (
-    "apex_place",
-    "apex_velocity",
-    "pressure_apex",
-    "volume_error",
-    "puff_work",
-    "cornea_elastic",
-    "cornea_kinetic",
-    "aqueous_kinetic",
-    "aqueous_elastic",
-    "tissue_loss",
-    "least_stress",
-)
+RUNNING, ALARM = range(2)
 
 
 @ti.data_oriented
 class WallStepper:
     """Steps a cornea under a reduced pressure model; capacity and fields are the cornea's.
 
-    flowing: whether the pressure varies along the wall (added mass); `sealed`, `compliance` [m^3/Pa] as above.
+    flowing: whether the pressure varies along the wall (added mass); `sealed`, `compliance` [m^3/Pa] as above; globe:
+    what the chamber yields to. status: RUNNING, or ALARM once a sample's figures are such that a guard has to look at
+    them.
     """
 
     def __init__(self, cornea: Cornea, flowing: bool):
         fp = real()
-        self.cornea, self.flowing = cornea, flowing
+        self.cornea, self.flowing, self.globe = cornea, flowing, Globe(1)
         vector = lambda: ti.Vector.field(2, fp, cornea.capacity)
         scalar = lambda: ti.field(fp, cornea.capacity)
         self.ring, self.ring_before, self.free, self.trial, self.moved = (vector() for _ in range(5))
         self.pressure, self.unit_pressure, self.flux_rate, self.quadratic, self.defect, self.across = (
             scalar() for _ in range(6)
         )
-        self.back, self.travel_from = scalar(), vector()
+        self.back, self.travel_from, self.shown_velocity = scalar(), vector(), vector()
         width = cornea.capacity if flowing else 1
         self.neumann, self.inverse, self.neumann_rate = (ti.field(fp, (width, width)) for _ in range(3))
-        self.mean_pressure, self.rest_volume, self.rest_enclosed, self.compliance, self.density = (
-            ti.field(fp, ()) for _ in range(5)
-        )
-        # of the rest of the globe: compliance, delay, volume it has taken up, work done on it
-        self.globe, self.globe_delay, self.taken_up, self.globe_work = (ti.field(fp, ()) for _ in range(4))
-        self.sealed, self.status, self.place_of_failure, self.steps = (ti.field(ti.i32, ()) for _ in range(4))
-        self.last_dt, self.rest_energy, self.largest_work, self.bending_step, self.least_stress = (
-            ti.field(fp, ()) for _ in range(5)
+        self.rest_volume, self.rest_enclosed, self.compliance, self.density = (ti.field(fp, ()) for _ in range(4))
+        self.sealed, self.status, self.steps, self.aged = (ti.field(ti.i32, ()) for _ in range(4))
+        self.rest_energy, self.bending_step, self.least_stress = (ti.field(fp, ()) for _ in range(3))
+        self.last_dt, self.largest_work = ti.field(fp, 1), ti.field(fp, 1)
+        self.snapshot = Snapshot(
+            {
+                **cornea.evolving(),
+                "ring": self.ring,
+                "ring_before": self.ring_before,
+                "moved": self.moved,
+                "wall_pressure": self.pressure,
+                "unit_pressure": self.unit_pressure,
+                "travel_from": self.travel_from,
+            },
+            {
+                **cornea.evolving_of_eyes(),
+                **self.globe.evolving(),
+                "last_dt": self.last_dt,
+                "largest_work": self.largest_work,
+            },
         )
 
     @ti.kernel
@@ -86,7 +90,7 @@ class WallStepper:
         back: ti.types.ndarray(),
         volume: float,
         compliance: float,
-        globe: float,
+        globe_compliance: float,
         globe_delay: float,
         sealed: int,
         density: float,
@@ -95,28 +99,24 @@ class WallStepper:
     ):
         """Take the cornea's present state as rest; back [walls]: z of the rigid back below each node [m]; compliance
         [m^3/Pa] of the liquid and of the globe, and the globe's delay [s]; density of the liquid [kg/m^3];
-        bending_step: limit of
-        the step by the plate's stiffest wave per squared element [s/m^2]; least_stress [Pa]: at which the run stops."""
-        self.sealed[None], self.status[None], self.steps[None] = sealed, RUNNING, 0
+        bending_step: limit of the step by the plate's stiffest wave per squared element [s/m^2]; least_stress [Pa]: at
+        which an alarm
+        is given."""
+        self.sealed[None], self.status[None], self.steps[None], self.aged[None] = sealed, RUNNING, 0, 1
         self.compliance[None], self.rest_volume[None], self.density[None] = compliance, volume, density
-        self.globe[None], self.globe_delay[None], self.taken_up[None], self.globe_work[None] = (
-            globe,
-            globe_delay,
-            0.0,
-            0.0,
-        )
-        self.mean_pressure[None], self.last_dt[None], self.largest_work[None] = 0.0, 0.0, 0.0
+        self.globe.rest(0, globe_compliance, globe_delay)
+        self.last_dt[0], self.largest_work[0] = 0.0, 0.0
         self.bending_step[None], self.least_stress[None] = bending_step, least_stress
         for i in range(self.cornea.last[0] + 1):
             zero = ti.Vector([0.0, 0.0])
             self.back[i] = back[i]
             self.pressure[i], self.unit_pressure[i], self.quadratic[i], self.flux_rate[i] = 0.0, sealed, 0.0, 0.0
-            self.moved[i], self.travel_from[i] = zero, self.cornea.place[i]
+            self.moved[i], self.shown_velocity[i], self.travel_from[i] = zero, zero, self.cornea.place[i]
             self.ring[i] = self.cornea.held(0, i, self.cornea.volume_gradient(0, i))
             self.ring_before[i] = self.ring[i]
         ti.loop_config(serialize=True)
         for _ in range(ONE_TASK):
-            self.rest_enclosed[None] = self.cornea.enclosed_volume(0)
+            self.rest_enclosed[None] = self.cornea.enclosed_volume(0, self.cornea.place)
             self.rest_energy[None] = self.cornea.elastic_energy(0)
 
     @ti.kernel
@@ -127,7 +127,9 @@ class WallStepper:
         rate: ti.types.ndarray(),
         unit: ti.types.ndarray(),
     ):
-        """New maps: N [1/m], (1 + rho N D)^-1, dN/dt, and the response of the pressure to a unit p0."""
+        """New maps, `aged` once a node has moved too far: N [1/m], (1 + rho N D)^-1, dN/dt, and the response of the
+        pressure to a unit p0."""
+        self.aged[None] = 0
         for i in range(unit.shape[0]):
             self.unit_pressure[i] = unit[i]
             self.travel_from[i] = self.cornea.place[i]
@@ -150,11 +152,7 @@ class WallStepper:
 
     @ti.func
     def _volume_at(self, place: ti.template()):
-        volume = 0.0
-        for k in range(self.cornea.last[0]):
-            a, b = place[k], place[k + 1]
-            volume += ti.math.pi * (0.5 * (a[0] + b[0])) ** 2 * (a[1] - b[1])
-        return volume + self.rest_volume[None] - self.rest_enclosed[None]
+        return self.cornea.enclosed_volume(0, place) + self.rest_volume[None] - self.rest_enclosed[None]
 
     @ti.func
     def _collect(self, puff, dt):
@@ -186,7 +184,7 @@ class WallStepper:
             total = self.quadratic[i]
             for j in range(count):
                 total += self.neumann[i, j] * self.flux_rate[j]
-            self.defect[i] = self.mean_pressure[None] - self.density[None] * total - self.pressure[i]
+            self.defect[i] = self.globe.mean_pressure[0] - self.density[None] * total - self.pressure[i]
         for i in range(count):
             total = 0.0
             for j in range(count):
@@ -238,34 +236,31 @@ class WallStepper:
         self._collect(puff, dt_before)
         if ti.static(self.flowing):
             self._flow_pressure(dt_before)
-        reach, swing = dt * kick, 0.0
+        # what the volume at the end of the step loses per unit of p0: dt kick times the rings' mobility under it
+        mobility = 0.0
         for i in range(count):
             self.free[i] += self.ring[i] * (self.pressure[i] / self.cornea.mass[i])
-            swing += self.unit_pressure[i] * self.ring[i].norm_sqr() / self.cornea.mass[i]
-        change, p0 = 0.0, self.mean_pressure[None]
+            mobility += self.unit_pressure[i] * self.ring[i].norm_sqr() / self.cornea.mass[i]
+        yielding = dt * kick * mobility
+        change, p0 = 0.0, self.globe.mean_pressure[0]
         if self.sealed[None] == 1:
-            follows, before = 1.0, self.taken_up[None]
-            if self.globe_delay[None] > 0.0:
-                follows = 1.0 - ti.exp(-dt / self.globe_delay[None])
-            give = follows * self.globe[None] + self.compliance[None]
-            full = self.rest_volume[None] - (1.0 - follows) * before
-            if reach * swing < give:
-                change = (full - self._volume_at(self.cornea.place)) / give - p0
+            followed = self.globe.followed(0, dt)
+            compliance = followed * self.globe.compliance[0] + self.compliance[None]
+            full = self.rest_volume[None] - (1.0 - followed) * self.globe.taken_up[0]
+            if yielding < compliance:
+                change = (full - self._volume_at(self.cornea.place)) / compliance - p0
             else:
                 for _ in range(4):
                     for i in range(count):
                         a = self.free[i] + self.ring[i] * (change * self.unit_pressure[i] / self.cornea.mass[i])
                         self.trial[i] = self.cornea.place[i] + dt * (self.cornea.velocity[i] + kick * a)
                     self.trial[count] = self.cornea.place[count]
-                    miss = self._volume_at(self.trial) + give * (p0 + change) - full
+                    miss = self._volume_at(self.trial) + compliance * (p0 + change) - full
                     if ti.abs(miss) > 1e-13 * self.rest_volume[None]:
-                        change -= miss / (reach * swing + give)
+                        change -= miss / (yielding + compliance)
                     else:
                         break
-            taken = follows * (self.globe[None] * (p0 + change) - before)
-            self.globe_work[None] += (p0 + 0.5 * change) * taken
-            self.taken_up[None] = before + taken
-        self.mean_pressure[None] = p0 + change
+            self.globe.take_up(0, followed, p0 + change)
         for i in range(count):
             self.pressure[i] += change * self.unit_pressure[i]
             a = self.free[i] + self.ring[i] * (change * self.unit_pressure[i] / self.cornea.mass[i])
@@ -289,9 +284,9 @@ class WallStepper:
     ) -> ti.i32:
         """Take samples of `span` [s] from sample `first` to `last`; the sample reached.
 
-        Ends early where a guard stops it (`status`), or once a node has moved by `far` [m] since the maps were loaded.
-        puff: its table [Pa], PUFF_ROWS intervals per sample from time 0. Filled: record [samples + 1, FIGURES], and at
-        every `per_frame` samples frames [frame, node, place 2, velocity 2, acceleration 2, excess pressure].
+        Ends early at an alarm (`status`), or once a node has moved by `far` [m] since the maps were loaded.
+        puff: its table [Pa], PUFF_ROWS intervals per sample from time 0. Filled: record [samples + 1, QUANTITIES], and
+        at every `per_frame` samples frames [frame, node, place 2, velocity 2, acceleration 2, excess pressure].
         """
         reached = first
         going = True
@@ -301,14 +296,14 @@ class WallStepper:
             if ti.static(self.flowing):
                 self._find_quadratic()
             for n in range(steps):
-                at = (reached + n / steps) * PUFF_ROWS
-                row = ti.min(ti.cast(at, ti.i32), puff.shape[0] - 2)
-                load = puff[row] + (at - row) * (puff[row + 1] - puff[row])
+                where = (reached + n / steps) * PUFF_ROWS
+                row = ti.min(ti.cast(where, ti.i32), puff.shape[0] - 2)
+                load = puff[row] + (where - row) * (puff[row + 1] - puff[row])
                 before = dt
                 if n == 0:
-                    before = self.last_dt[None]
+                    before = self.last_dt[0]
                 self._step(load, dt, 0.5 * (dt + before), ti.select(before > 0.0, before, dt))
-            self.last_dt[None] = dt
+            self.last_dt[0] = dt
             self.steps[None] += steps
             reached += 1
             if ti.static(self.flowing):
@@ -317,7 +312,9 @@ class WallStepper:
             if reached % per_frame == 0 and reached // per_frame < frames.shape[0]:
                 self._keep(frames, reached // per_frame, 0.5 * dt)
             if ti.static(self.flowing):
-                going = self._travel() < far
+                if not (self._travel() < far):
+                    self.aged[None] = 1
+                    going = False
         return reached
 
     @ti.func
@@ -331,18 +328,18 @@ class WallStepper:
             frames[frame, i, 6] = self.pressure[i]
 
     @ti.kernel
-    def show(self, frame: ti.types.ndarray()):
-        """Put one frame, [nodes, 7] as `advance` keeps it, into the cornea's fields."""
+    def show(self, frame: ti.types.ndarray(), placed: int):
+        """Show one frame, [nodes, 7] as `advance` keeps it: its velocity, and where `placed`, the cornea there."""
         for i in range(frame.shape[0]):
-            self.cornea.place[i] = ti.Vector([frame[i, 0], frame[i, 1]])
-            self.cornea.velocity[i] = ti.Vector([frame[i, 2], frame[i, 3]])
-            self.cornea.acceleration[i] = ti.Vector([frame[i, 4], frame[i, 5]])
+            self.shown_velocity[i] = ti.Vector([frame[i, 2], frame[i, 3]])
+            if placed == 1:
+                self.cornea.place[i] = ti.Vector([frame[i, 0], frame[i, 1]])
 
     @ti.func
     def _survey(self, record: ti.template(), row, half):
         count = self.cornea.last[0]
         volume = self._volume_at(self.cornea.place)
-        least, slackest, finite = ti.math.inf, 0, 1
+        least, slackest, bad = ti.math.inf, 0, -1
         room, near = ti.math.inf, 0
         kinetic, swept, work = 0.0, 0.0, self.cornea.puff_work[0]
         for i in range(count):
@@ -356,9 +353,8 @@ class WallStepper:
             kinetic += 0.5 * self.cornea.mass[i] * v.norm_sqr()
             work += 0.5 * self.cornea.force_air[i].dot(self.moved[i])
             sum = self.cornea.place[i].sum() + v.sum()
-            if ti.math.isnan(sum) or ti.math.isinf(sum):
-                finite = 0
-                near = i
+            if bad < 0 and (ti.math.isnan(sum) or ti.math.isinf(sum)):
+                bad = i
             if ti.static(self.flowing):
                 self.flux_rate[i] = self.ring[i].dot(v)
         if ti.static(self.flowing):
@@ -367,41 +363,38 @@ class WallStepper:
                 for j in range(count):
                     potential += self.neumann[i, j] * self.flux_rate[j]
                 swept += 0.5 * self.density[None] * self.flux_rate[i] * potential
-        p0 = self.mean_pressure[None]
+        p0 = self.globe.mean_pressure[0]
         elastic = self.cornea.elastic_energy(0) - self.rest_energy[None]
-        stretched = 0.0  # of the globe
-        if self.globe[None] > 0.0:
-            stretched = 0.5 * self.taken_up[None] ** 2 / self.globe[None]
+        stretched = self.globe.stored(0)
         stored = (
             0.5 * self.compliance[None] * p0 * p0 + stretched + self.cornea.iop[0] * (self.rest_volume[None] - volume)
         )
-        self.largest_work[None] = ti.max(self.largest_work[None], ti.abs(work))
+        self.largest_work[0] = ti.max(self.largest_work[0], ti.abs(work))
         gained = elastic + kinetic + swept + stored - work
-        if finite == 0 or ti.math.isnan(gained):
-            self.status[None], self.place_of_failure[None] = NOT_FINITE, near
-        elif least <= self.least_stress[None]:
-            self.status[None], self.place_of_failure[None] = SLACK, slackest
-        elif room < guards.CLOSED:
-            self.status[None], self.place_of_failure[None] = CLOSED, near
-        elif gained > guards.ENERGY_SHARE * self.largest_work[None] + guards.ENERGY_FLOOR:
-            self.status[None] = GREW
-        figures = ti.Vector(
-            [
-                self.cornea.place[0][1],
-                self.cornea.velocity[0][1] + half * self.cornea.acceleration[0][1],
-                self.cornea.iop[0] + self.pressure[0],
-                volume / self.rest_volume[None] - 1.0,
-                work,
-                elastic,
-                kinetic,
-                swept,
-                stored,
-                self.cornea.relaxed_work[0] + self.globe_work[None] - stretched,
-                least,
-            ]
-        )
-        for q in ti.static(range(len(FIGURES))):
-            record[row, q] = figures[q]
+        if (
+            bad >= 0
+            or ti.math.isnan(gained)
+            or least <= self.least_stress[None]
+            or room < guards.CLOSED
+            or gained > guards.ENERGY_SHARE * self.largest_work[0] + guards.ENERGY_FLOOR
+        ):
+            self.status[None] = ALARM
+        record[row, at.apex_place] = self.cornea.place[0][1]
+        record[row, at.apex_velocity] = self.cornea.velocity[0][1] + half * self.cornea.acceleration[0][1]
+        record[row, at.fluid_pressure_apex] = self.cornea.iop[0] + self.pressure[0]
+        record[row, at.volume_error] = (volume + self.globe.taken_up[0]) / self.rest_volume[None] - 1.0
+        record[row, at.puff_work] = work
+        record[row, at.cornea_elastic] = elastic
+        record[row, at.cornea_kinetic] = kinetic
+        record[row, at.aqueous_kinetic] = swept
+        record[row, at.aqueous_elastic] = stored
+        record[row, at.tissue_loss] = self.cornea.relaxed_work[0] + self.globe.work[0] - stretched
+        record[row, at.least_stress] = least
+        record[row, at.slackest_element] = slackest
+        record[row, at.chamber_gap] = room
+        record[row, at.gap_node] = near
+        record[row, at.not_finite] = ti.select(bad >= 0, 1.0, 0.0)
+        record[row, at.bad_node] = bad
 
     @ti.func
     def _age_maps(self, span):

@@ -7,12 +7,15 @@ nothing.
 
 import weakref
 
+import numpy as np
+
 from taichi_eye import backend
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.cornea import Cornea
 from taichi_eye.solver.coupling import Coupling
 from taichi_eye.solver.motion import Motion
 from taichi_eye.solver.sample import Sampler
+from taichi_eye.solver.state import Snapshot, State
 from taichi_eye.solver.survey import Survey
 
 SMALLEST = 2048  # nodes: scenes below share one set of kernels, in this process and in the offline cache
@@ -39,6 +42,22 @@ class Workspace:
         self.motion = Motion(self.cornea, self.aqueous)
         self.survey = Survey(self.cornea, self.aqueous, self.coupling)
         self.sampler = Sampler(self.coupling, self.motion, self.survey)
+        self.snapshot = Snapshot(
+            {**self.cornea.evolving(), **self.aqueous.evolving(), "built_place": self.survey.built_place},
+            {**self.cornea.evolving_of_eyes(), **self.aqueous.evolving_of_eyes()},
+        )
+
+    def restore(self, state: State) -> None:
+        """Take up the fields of a state (`Batch.state`), the eyes being set up at rest."""
+        self.snapshot.put(state)
+        rebuilt = np.zeros(len(self.aqueous.nodes), dtype=np.int32)
+        rebuilt[: len(state["rebuilds"])] = state["rebuilds"] > 0
+        if rebuilt.any():
+            self.motion.move_nodes_under(self.survey.built_place)
+            self.aqueous.rebuild(rebuilt)
+            # a rebuild lays out anew what the state holds as it was
+            self.snapshot.put(state)
+        self.motion.move_nodes()
 
 
 def capacity(count: int, smallest: int = SMALLEST) -> int:

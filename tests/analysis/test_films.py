@@ -100,8 +100,8 @@ def test_folders_take_their_times_from_names(frames, tmp_path):
 def movie(frames, tmp_path_factory):
     path = tmp_path_factory.mktemp("film") / "eye.mp4"
     with FilmWriter(path, 25) as film:
-        for frame, time in zip(frames, TIMES):
-            film.write(frame, time)
+        for frame in frames:
+            film.write(frame)
     return path
 
 

@@ -121,7 +121,7 @@ def test_a_variable_rate_repeats_no_frame_and_drops_none(tmp_path, stamps):
 
     with FilmWriter(tmp_path / "a.mp4", 25) as film:
         for frame, time in zip(stamps, TIMES):
-            film.write(frame, time)
+            film.write(frame)
     # every third frame is shown for twice as long
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-i", str(tmp_path / "a.mp4")]
     command += [
@@ -269,7 +269,7 @@ def test_pictures_in_colours_are_no_slit_frames(tmp_path):
         read_film(save(tmp_path / "f", frames))
     with FilmWriter(tmp_path / "a.mp4", 25) as film:
         for frame in frames:
-            film.write(frame, 0.0)
+            film.write(frame)
     with pytest.raises(FilmError, match="analyse the run folder"):
         read_film(tmp_path / "a.mp4")
 
@@ -296,7 +296,7 @@ def test_a_films_own_orientation_is_honoured(tmp_path, angle):
     frames = noisy()
     with FilmWriter(tmp_path / "stored.mp4", 25) as film:
         for frame in frames:
-            film.write(np.ascontiguousarray(np.rot90(frame, -angle // 90)), 0.0)
+            film.write(np.ascontiguousarray(np.rot90(frame, -angle // 90)))
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-display_rotation", str(angle)]
     subprocess.run([*command, "-i", tmp_path / "stored.mp4", "-c", "copy", tmp_path / "turned.mp4"], check=True)
     film = read_film(tmp_path / "turned.mp4")

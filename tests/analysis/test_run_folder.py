@@ -65,7 +65,7 @@ def test_the_slit_frame_is_taken_out_of_both_views(run):
             whole[: 2 * HEIGHT] = frame.repeat(2, 0).repeat(2, 1)[..., None]
             whole[2 * HEIGHT :, :WIDTH] = 230, 40, 20
             whole[2 * HEIGHT :, WIDTH:] = 20, 40, 230
-            film.write(whole, 0.0)
+            film.write(whole)
     for path in (run, run / "film.mp4"):
         film = read_film(path)
         assert film.frames.shape == (COUNT, HEIGHT, WIDTH)

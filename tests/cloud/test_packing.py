@@ -8,7 +8,7 @@ from taichi_eye.cloud import packing
 from taichi_eye.cloud.packing import FIXED, FREE, GAP_LIMIT, HOLE_LIMIT, REACH, SLIDE, WALL, boundary, pack
 from taichi_eye.cloud.quality import measure
 from taichi_eye.errors import SceneError
-from taichi_eye.eye.section import Section
+from taichi_eye.eye.eye import eye_of
 from taichi_eye.scene import load_scene
 
 MM = 1e-3
@@ -26,7 +26,7 @@ CASES = [(name, spacing) for name in SECTIONS for spacing in SPACINGS]
 
 
 def section_of(name):
-    return Section.from_scene(load_scene(None, SECTIONS[name] + ["numerics.spacing_mm=0.3"]))
+    return eye_of(load_scene(None, SECTIONS[name] + ["numerics.spacing_mm=0.3"])).section
 
 
 @pytest.fixture(scope="module")

@@ -5,12 +5,13 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from taichi_eye.eye.puff import Puff, Puffs
+from taichi_eye.eye.eye import eye_of
+from taichi_eye.eye.puff import Puffs
 from taichi_eye.scene import load_scene
 
 
 def puff(*overrides):
-    return Puff.from_scene(load_scene(None, overrides))
+    return eye_of(load_scene(None, overrides)).puff
 
 
 def half_times(load, peak, centre):

@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.spatial import cKDTree
 
+from taichi_eye.eye.eye import eye_of
 from taichi_eye.eye.section import Section
 from taichi_eye.scene import load_scene
 
@@ -58,7 +59,7 @@ def test_volume_agrees_with_quadrature(a):
 
 
 def test_default_chamber_has_the_published_depth_and_volume():
-    a = Section.from_scene(load_scene())
+    a = eye_of(load_scene()).section
     assert a.apex_z == pytest.approx(2.585 * MM, abs=5e-7)
     assert a.volume() == pytest.approx(145.6e-9, rel=1e-3)
     assert a.back_z == 0.0

@@ -4,7 +4,7 @@ import matplotlib
 import numpy as np
 import pytest
 
-from taichi_eye.eye.section import Section
+from taichi_eye.eye.eye import eye_of
 from taichi_eye.film import FilmView, Particles
 from taichi_eye.film.glyphs import GlyphAtlas, stamp
 from taichi_eye.film.particles import DARKEST, Layout, plot_ranges, tick_step
@@ -14,7 +14,7 @@ from taichi_eye.film.particles import DARKEST, Layout, plot_ranges, tick_step
 def eye(synthetic_eye):
     eye = synthetic_eye(["numerics.spacing_mm=0.3"])
     eye.view = Particles(eye.scene, stamped=False)
-    eye.back_z_mm = Section.from_scene(eye.scene).back_z * 1e3
+    eye.back_z_mm = eye_of(eye.scene).section.back_z * 1e3
     return eye
 
 

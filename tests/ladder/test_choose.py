@@ -5,7 +5,8 @@ import pytest
 
 from taichi_eye.ladder.choose import choose, viscous_share
 from taichi_eye.ladder.misfit import misfit
-from taichi_eye.ladder.rungs import RUNGS, simulation_of, with_numerics
+from taichi_eye.ladder.rungs import simulation_of, with_numerics
+from taichi_eye.rungs import RUNGS
 from taichi_eye.scene import load_scene
 
 
@@ -14,7 +15,7 @@ def auto(tolerance, *overrides):
 
 
 def rung(choice):
-    return RUNGS.index(choice.scene.numerics.fidelity)
+    return list(RUNGS).index(choice.scene.numerics.fidelity)
 
 
 def test_a_tighter_tolerance_never_takes_a_cheaper_rung_or_a_coarser_spacing():

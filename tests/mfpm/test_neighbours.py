@@ -23,7 +23,7 @@ class Lists:
         whole = np.full((CAPACITY, 2), np.nan)
         whole[: len(points)] = points
         self.points.from_numpy(whole)
-        self.lists.search(self.points, len(points), radius)
+        self.lists.search(self.points, len(points), float(radius))
         found = self.lists.found.to_numpy()[: len(points)]
         entry, distance2 = self.lists.entry.to_numpy(), self.lists.distance2.to_numpy()
         return [entry[i, :n] for i, n in enumerate(found)], [distance2[i, :n] for i, n in enumerate(found)]

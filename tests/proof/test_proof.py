@@ -8,23 +8,23 @@ import pytest
 from taichi_eye.cli import main
 from taichi_eye.cloud.packing import pack
 from taichi_eye.eye.section import Section
-from taichi_eye.proof import membranes, rows, spectrum, squeeze, viscous, waves
+from taichi_eye.proof import comparison, membranes, spectrum, squeeze, viscous, waves
 from taichi_eye.proof.domains import Vessel, slip_walls, vessel_cloud
 from taichi_eye.proof.flow import Flow
 
 
 def test_a_row_fails_on_nan_on_error_and_on_order():
-    good = rows.Row("p", "q", 1.0, 1.01, 0.01, 0.02, 2.0, 1.8)
+    good = comparison.Comparison("p", "q", 1.0, 1.01, 0.01, 0.02, 2.0, 1.8)
     assert good.passed
-    assert not rows.Row("p", "q", 1.0, 1.1, 0.1, 0.02).passed
-    assert not rows.Row("p", "q", 1.0, np.nan, np.nan, 0.02).passed
-    assert not rows.Row("p", "q", 1.0, 1.0, 0.0, 0.02, float("nan"), 1.8).passed
-    assert json.loads(json.dumps(rows.Row("p", "q", 1.0, np.nan, np.nan, 0.02).as_dict()))["value"] is None
+    assert not comparison.Comparison("p", "q", 1.0, 1.1, 0.1, 0.02).passed
+    assert not comparison.Comparison("p", "q", 1.0, np.nan, np.nan, 0.02).passed
+    assert not comparison.Comparison("p", "q", 1.0, 1.0, 0.0, 0.02, float("nan"), 1.8).passed
+    assert json.loads(json.dumps(comparison.Comparison("p", "q", 1.0, np.nan, np.nan, 0.02).as_dict()))["value"] is None
 
 
 def test_order_of_a_power_law():
     sizes = np.array([0.4, 0.2, 0.1])
-    assert rows.order(sizes, 3.0 * sizes**1.7) == pytest.approx(1.7)
+    assert comparison.order(sizes, 3.0 * sizes**1.7) == pytest.approx(1.7)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from taichi_eye.errors import SceneError
 from taichi_eye.proof import stability
 from taichi_eye.proof.maps import cloud, coupling, spectrum, time_step
 from taichi_eye.proof.maps.result import Map
-from taichi_eye.proof.maps.runs import cloud_for, run, scene_with, unguarded
+from taichi_eye.proof.maps.runs import cause, cloud_for, run, scene_with, unguarded
 from taichi_eye.solver import guards
 from taichi_eye.solver.simulation import Simulation
 
@@ -27,8 +27,8 @@ def test_keys_of_the_numerics_are_set_beyond_what_a_scene_file_may_hold():
 
 def test_a_stop_is_told_by_its_cause_and_lets_its_fields_go():
     each = run({**TINY, "numerics.coupling_iterations_max": 1})
-    assert each.cause == "converge" and each.stop.__traceback__ is None
-    assert run(TINY).cause == ""
+    assert cause(each) == "converge" and each.stop.__traceback__ is None
+    assert cause(run(TINY)) == ""
 
 
 def test_the_guards_are_back_after_an_unguarded_run():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from taichi_eye.report.traces import COLUMNS, WHOLE, read_traces, write_traces
+from taichi_eye.report.traces import COLUMNS, WHOLE, append_traces, read_traces, write_traces
 
 
 def random_traces(samples):
@@ -21,6 +21,15 @@ def test_traces_come_back_bit_for_bit(tmp_path, samples):
     for name in COLUMNS:
         np.testing.assert_array_equal(back[name], traces[name])
     assert [entry.name for entry in tmp_path.iterdir()] == ["traces.csv"]
+
+
+def test_rows_can_be_added(tmp_path):
+    traces = random_traces(9)
+    write_traces(tmp_path / "grown.csv", {name: values[:4] for name, values in traces.items()})
+    append_traces(tmp_path / "grown.csv", {name: values[:7] for name, values in traces.items()}, 4)
+    append_traces(tmp_path / "grown.csv", traces, 7)
+    write_traces(tmp_path / "whole.csv", traces)
+    assert (tmp_path / "grown.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
 
 
 def test_single_precision_is_kept(tmp_path):

@@ -38,7 +38,7 @@ def run_eye(*overrides):
     except RunStopped as stop:
         keep(simulation)
         run.stop = stop.with_traceback(None)
-    run.traces = simulation.arrays()
+    run.traces = simulation.traces
     run.steps, run.step_limit, run.rebuilds = simulation.steps, simulation.step_limit, simulation.rebuilds
     run.cloud, aqueous, cornea = simulation.cloud, simulation.aqueous, simulation.cornea
     run.places, run.velocities, run.pressures = (

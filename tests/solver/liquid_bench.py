@@ -22,10 +22,17 @@ class Liquid:
     def fill(self, cloud, density=1000.0, viscosity=0.8e-3, sound_speed=50.0, dissipation=0.0, no_slip=False):
         """Fill a chamber, at rest, its wall where the cloud has it."""
         self.cloud, self.count, self.walls = cloud, cloud.count, cloud.wall_count
-        self.aqueous.setup(cloud, density, viscosity, sound_speed, dissipation, no_slip)
+        self.aqueous.setup(
+            cloud,
+            density=density,
+            viscosity=viscosity,
+            sound_speed=sound_speed,
+            dissipation=dissipation,
+            no_slip=no_slip,
+        )
         for field in (self.wall_rest, self.wall_place):
             self.put(field, cloud.points[: self.walls])
-        self.wall_velocity.fill(0.0)
+        self.put(self.wall_velocity, np.zeros((self.walls, 2)))
         return self
 
     def put(self, field, values):
@@ -119,5 +126,5 @@ class Liquid:
             self.number[2] = self.aqueous.missing_pressure(0, volume, 0.0)
 
     def kinetic_elastic_missing(self, volume):
-        self._weigh(volume)
+        self._weigh(float(volume))
         return self.number.to_numpy()

@@ -12,7 +12,8 @@ from taichi_eye import backend
 from taichi_eye.errors import RunStopped, SceneError
 from taichi_eye.scene import load_scene
 from taichi_eye.solver import coupling, sample
-from taichi_eye.solver.batch import Batch, clouds_of, run_batch
+from taichi_eye.solver.batch import Batch, run_batch
+from taichi_eye.solver.case import clouds_of
 from taichi_eye.solver.simulation import Simulation
 
 BASE = "numerics.spacing_mm=0.35", "numerics.sound_speed_m_s=40", "puff.duration_ms=8"

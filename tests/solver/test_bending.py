@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from taichi_eye import backend
+from taichi_eye.eye.tissue import flexural_rigidity
 from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.solver.cornea import Cornea
 
@@ -41,7 +42,14 @@ def shell():
     flat = np.ones(ELEMENTS)
     # without in-plane tension but for the prestrain's: bending stands out
     cornea.setup(
-        nodes, THICKNESS * flat, 1050.0, (1562.0, 57.8, 0.49, 0.03 * flat), 2000.0, np.ones(ELEMENTS + 1), MODULUS
+        nodes,
+        thickness=THICKNESS * flat,
+        density=1050.0,
+        coefficients=(1562.0, 57.8, 0.49),
+        prestrain=0.03 * flat,
+        iop=2000.0,
+        load_shape=np.ones(ELEMENTS + 1),
+        rigidity=flexural_rigidity(MODULUS, THICKNESS, 0.49),
     )
     return Probe(cornea), nodes
 

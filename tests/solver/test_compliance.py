@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from taichi_eye import backend
+from taichi_eye.ladder.rungs import simulation_of
 from taichi_eye.scene import load_scene
-from taichi_eye.solver.reduced import Reduced
 from taichi_eye.solver.simulation import Simulation
 from taichi_eye.units import MM3, MMHG
 
@@ -37,8 +37,8 @@ SHORT = [*CHEAP, "chamber.compliance_mm3_mmhg=0.3"]
 
 
 def history(model, *more):
-    scene = load_scene(None, [*SHORT, *more])
-    return (Simulation(scene) if model == "mfpm" else Reduced(scene, model)).run()
+    scene = load_scene(None, [*SHORT, *more, f'numerics.fidelity="{model}"'])
+    return simulation_of(scene).run()
 
 
 @pytest.mark.parametrize("model", ["cavity", "mfpm"])
@@ -68,8 +68,8 @@ def test_what_the_globe_takes_up_follows_the_pressure_by_its_law(late):
 
     def keep(eye):
         times.append(eye.time_ms)
-        taken.append(eye.aqueous.taken_up[0])
-        pressure.append(eye.aqueous.mean_pressure[0])
+        taken.append(eye.aqueous.globe.taken_up[0])
+        pressure.append(eye.aqueous.globe.mean_pressure[0])
 
     eye.run(on_sample=keep)
     goal = 0.3 * MM3 / MMHG * np.array(pressure)

@@ -5,10 +5,12 @@ import pytest
 from eye_bench import run_eye
 
 from taichi_eye.errors import RunStopped
+from taichi_eye.eye.eye import eye_of
 from taichi_eye.mfpm.operators import CONDITION_LIMIT
 from taichi_eye.scene import load_scene
-from taichi_eye.solver.coupling import NOT_CONVERGED, RUNNING
-from taichi_eye.solver.guards import Calm, check, least_stress
+from taichi_eye.solver.case import case_of
+from taichi_eye.solver.figures import NOT_CONVERGED, QUANTITIES, RUNNING, at_rest
+from taichi_eye.solver.guards import Guard, check, least_stress, liquid_advice
 
 SOUND = {
     "least_stress": 14e3,
@@ -22,18 +24,22 @@ SOUND = {
     "not_finite": 0.0,
     "bad_node": -1.0,
     "coupling_status": float(RUNNING),
+    "viscous_loss": 0.0,
+    "numerical_loss": 0.0,
 }
 NAN = float("nan")
 
 
 def judge(energy_gain=1e-8, largest_work=3e-5, overrides=(), lobes=None, **figures):
+    case = case_of(load_scene(None, overrides))
     check(
         {**SOUND, **figures},
-        energy_gain,
-        largest_work,
-        load_scene(None, overrides),
-        lambda node: 0.25 * node,
-        12.345,
+        gained=energy_gain,
+        largest_work=largest_work,
+        case=case,
+        advice=liquid_advice(case),
+        radius_mm=lambda node: 0.25 * node,
+        time_ms=12.345,
         lobes=lobes,
     )
 
@@ -87,10 +93,10 @@ def test_a_shell_is_judged_from_the_classical_buckling_stress_on_and_stopped_onc
     # of an isotropic shell with the in-plane modulus for bending too: E h / (R sqrt(3 (1 - nu^2)))
     young = (1.0 - cornea.poisson_ratio) * 0.55e6
     uniform = young * cornea.thickness_mm / cornea.radius_mm / np.sqrt(3.0 * (1.0 - cornea.poisson_ratio**2))
-    assert least_stress(scene) == pytest.approx(-uniform * np.sqrt(0.2e6 / young), rel=0.01)
-    assert least_stress(load_scene()) == 0.0
-    judge(least_stress=2.0 * least_stress(scene), overrides=shell)
-    stop = refusal(least_stress=2.0 * least_stress(scene), overrides=shell, lobes=5)
+    assert least_stress(eye_of(scene)) == pytest.approx(-uniform * np.sqrt(0.2e6 / young), rel=0.01)
+    assert least_stress(eye_of(load_scene())) == 0.0
+    judge(least_stress=2.0 * least_stress(eye_of(scene)), overrides=shell)
+    stop = refusal(least_stress=2.0 * least_stress(eye_of(scene)), overrides=shell, lobes=5)
     assert "folded into 5 lobes" in stop.what and "cornea.flexural_modulus_mpa" in stop.advice
 
 
@@ -106,8 +112,8 @@ def test_a_slack_wall_is_named_before_what_it_causes():
 
 
 def test_many_eyes_are_calm_exactly_where_each_passes():
-    rng, scene = np.random.default_rng(3), load_scene(None)
-    limit = CONDITION_LIMIT[scene.numerics.basis]
+    rng, count, case = np.random.default_rng(3), 3000, case_of(load_scene(None))
+    limit = CONDITION_LIMIT[case.scheme.basis]
     choices = {
         "least_stress": (14e3, 14e3, 1.0, 0.0, -5.0, -1e6),
         "chamber_gap": (0.6, 0.6, 0.1, 0.05),
@@ -118,21 +124,39 @@ def test_many_eyes_are_calm_exactly_where_each_passes():
         "viscous_loss": (0.0, 1e-7, 2e-6, 1e-5),
         "numerical_loss": (0.0, 1e-7, 2e-6, -1e-6),
     }
-    figures = {name: rng.choice(values, 3000) for name, values in choices.items()}
+    rows = at_rest(count)
     for name, value in SOUND.items():
-        figures.setdefault(name, np.full(3000, value))
-    gain, work = rng.choice([-1e-5, 0.0, 1e-8, 2.9e-6, 5e-6, NAN], 3000), rng.choice([0.0, 2e-5, 3e-5], 3000)
-    judge = Calm(tuple(figures), limit, np.full(3000, least_stress(scene)))
-    verdict = judge.where(np.column_stack(list(figures.values())), gain, work)
+        rows[:, QUANTITIES.index(name)] = value
+    for name, values in choices.items():
+        rows[:, QUANTITIES.index(name)] = rng.choice(values, count)
+    work = rng.choice([0.0, 2e-5, 3e-5], count)
+    rows[:, QUANTITIES.index("puff_work")] = work
+    rows[:, QUANTITIES.index("cornea_elastic")] = work + rng.choice([-1e-5, 0.0, 1e-8, 2.9e-6, 5e-6, NAN], count)
+    guard = Guard([case] * count, [liquid_advice(case)] * count)
+    verdict = guard.where_calm(rows, False)
     for k, quiet in enumerate(verdict):
-        one = {name: float(values[k]) for name, values in figures.items()}
-        try:
-            check(one, gain[k], work[k], scene, lambda node: 0.0, 1.0, one["viscous_loss"], one["numerical_loss"])
-            passed = True
-        except RunStopped:
-            passed = False
-        assert passed == quiet, (one, gain[k], work[k])
+        stop = guard.stop_of(k, k, rows[k], radius_mm=lambda node: 0.0, time_ms=1.0, lobes=None)
+        assert (stop is None) == quiet, (rows[k], stop)
     assert 20 < verdict.sum() < 2500
+
+
+@pytest.mark.parametrize("at_frame", [True, False])
+def test_a_compressed_shell_is_looked_at_where_there_is_a_frame(at_frame):
+    case = case_of(load_scene(None, ["cornea.flexural_modulus_mpa=0.2"]))
+    guard, rows = Guard([case], [liquid_advice(case)]), at_rest(2)
+    rows[:, QUANTITIES.index("least_stress")] = [0.5, 2.0] * guard.least
+    assert list(guard.where_calm(rows, at_frame)) == [True, not at_frame]
+
+
+def test_the_largest_work_is_carried_from_one_look_to_the_next():
+    case = case_of(load_scene(None))
+    guard, rows = Guard([case], [liquid_advice(case)]), at_rest(3)
+    rows[:, QUANTITIES.index("least_stress")] = 1e4
+    rows[:, QUANTITIES.index("puff_work")] = [1e-5, -4e-5, 2e-5]
+    guard.where_calm(rows, False)
+    assert guard.largest_work == pytest.approx([1e-5, 4e-5, 4e-5])
+    guard.where_calm(rows[2:], False)
+    assert guard.largest_work == pytest.approx([4e-5])
 
 
 def stopped(*overrides):

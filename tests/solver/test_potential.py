@@ -6,14 +6,21 @@ from scipy.special import j0, jn_zeros
 
 from taichi_eye.cloud.packing import pack
 from taichi_eye.eye.section import Section
+from taichi_eye.proof.comparison import order
 from taichi_eye.proof.domains import Vessel, vessel_cloud
-from taichi_eye.proof.rows import order
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.cornea import Cornea
 from taichi_eye.solver.motion import Motion
-from taichi_eye.solver.potential import LayerFlow, PotentialFlow, ring_areas
+from taichi_eye.solver.potential import LayerFlow, PotentialFlow
+from taichi_eye.solver.rings import ring_areas
 
-TISSUE = (1562.0, 86.1 / 1.49, 0.49, 0.04)
+TISSUE = {
+    "thickness": 5.5e-4,
+    "density": 1050.0,
+    "coefficients": (1562.0, 86.1 / 1.49, 0.49),
+    "prestrain": 0.04,
+    "iop": 2000.0,
+}
 RADIUS, DEPTH = 6e-3, 3e-3
 
 
@@ -26,8 +33,8 @@ def fields():
 def placed(fields, cloud):
     cornea, aqueous, flow = fields
     nodes = cloud.section.cornea_nodes(cloud.wall_count - 1)
-    cornea.setup(nodes, 5.5e-4, 1050.0, TISSUE, 2000.0, np.ones(len(nodes)))
-    aqueous.setup(cloud, 1000.0, 0.0, 80.0, 0.0)
+    cornea.setup(nodes, **TISSUE, load_shape=np.ones(len(nodes)))
+    aqueous.setup(cloud, density=1000.0, viscosity=0.0, sound_speed=80.0, dissipation=0.0)
     flow.setup(cloud)
     flow.refresh()
     return nodes, flow
@@ -87,7 +94,7 @@ def test_layer_is_the_long_wave_limit(fields):
     for depth in (1e-3, 2e-3):
         nodes = Vessel(RADIUS, depth).cornea_nodes(48)
         cornea = fields[0]
-        cornea.setup(nodes, 5.5e-4, 1050.0, TISSUE, 2000.0, np.ones(len(nodes)))
+        cornea.setup(nodes, **TISSUE, load_shape=np.ones(len(nodes)))
         layer = LayerFlow(cornea, Vessel(RADIUS, depth))
         layer.refresh()
         k = jn_zeros(1, 2) / RADIUS

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from taichi_eye.scene import load_scene
+from taichi_eye.solver.case import case_of
 from taichi_eye.solver.timestep import NAMES, StepLimits, limits, stable_step
 
 FIGURES = {
@@ -18,7 +19,7 @@ FIGURES = {
 
 
 def every(*overrides, **figures):
-    return limits({**FIGURES, **figures}, load_scene(None, overrides))
+    return limits({**FIGURES, **figures}, case_of(load_scene(None, overrides)))
 
 
 def ratio(name, one, other):
@@ -93,10 +94,10 @@ def test_volume_limit_is_that_of_the_mean_pressures_stiffness_beyond_the_waves()
 )
 @pytest.mark.parametrize("cfl", [0.1, 0.8])
 def test_step_is_the_smallest_limit_times_cfl(overrides, figures, name, cfl):
-    scene = load_scene(None, [*overrides, f"numerics.cfl={cfl}"])
-    step, limit = stable_step({**FIGURES, **figures}, scene)
+    case = case_of(load_scene(None, [*overrides, f"numerics.cfl={cfl}"]))
+    step, limit = stable_step({**FIGURES, **figures}, case)
     assert limit == name
-    assert step == pytest.approx(cfl * min(limits({**FIGURES, **figures}, scene).values()))
+    assert step == pytest.approx(cfl * min(limits({**FIGURES, **figures}, case).values()))
 
 
 def test_many_scenes_have_each_its_own_step():
@@ -107,9 +108,9 @@ def test_many_scenes_have_each_its_own_step():
         ("cornea.density_kg_m3=100", "cornea.thickness_mm=0.01"),
         ("cornea.flexural_modulus_mpa=40",),
     ]
-    scenes = [load_scene(None, keys) for keys in overrides]
-    figures = [{name: value * (1.0 + 0.3 * k) for name, value in FIGURES.items()} for k in range(len(scenes))]
-    steps, which = StepLimits(scenes).stable_steps({name: np.array([f[name] for f in figures]) for name in FIGURES})
+    cases = [case_of(load_scene(None, keys)) for keys in overrides]
+    figures = [{name: value * (1.0 + 0.3 * k) for name, value in FIGURES.items()} for k in range(len(cases))]
+    steps, which = StepLimits(cases).stable_steps({name: np.array([f[name] for f in figures]) for name in FIGURES})
     names = [NAMES[limit] for limit in which]
     assert len(set(names)) > 2
-    assert list(zip(steps, names)) == [stable_step(f, scene) for f, scene in zip(figures, scenes)]
+    assert list(zip(steps, names)) == [stable_step(f, case) for f, case in zip(figures, cases)]

@@ -14,10 +14,11 @@ import numpy as np
 
 from taichi_eye.analysis import Curves, curves_from_wall
 from taichi_eye.backend import real
-from taichi_eye.eye.globe import retreat_mm
+from taichi_eye.eye.eye import eye_of
 from taichi_eye.film import FilmWriter, FrameState, Scheimpflug
 from taichi_eye.lang import ti
 from taichi_eye.scene import Scene, load_scene
+from taichi_eye.units import MM, MS
 
 NODES = 120
 FRAMES, INTERVAL_MS = 139, 0.2315
@@ -112,7 +113,7 @@ EYES = (
 def walls_mm(eye: Eye, scene: Scene) -> np.ndarray:
     """(r, z) of the filmed surface at TIMES_MS, the retreat in it: shape [FRAMES, NODES, 2]."""
     walls = np.stack([eye.wall_mm(scene, time) for time in TIMES_MS])
-    walls[:, :, 1] -= retreat_mm(scene, TIMES_MS)[:, None]
+    walls[:, :, 1] -= eye_of(scene).retreat(TIMES_MS * MS)[:, None] / MM
     return walls
 
 
@@ -154,7 +155,7 @@ class Studio:
             empty,
             empty,
             empty,
-            retreat_mm=float(retreat_mm(scene, time_ms)),
+            retreat_mm=float(eye_of(scene).retreat(time_ms * MS)) / MM,
         )
 
     def frames(self, eye: Eye, scene: Scene) -> np.ndarray:
@@ -166,6 +167,6 @@ class Studio:
 def write_film(frames: np.ndarray, path: Path) -> Path:
     """The frames as film.mp4 of a run would hold them."""
     with FilmWriter(path, 25) as film:
-        for frame, time in zip(frames, TIMES_MS):
-            film.write(frame, time)
+        for frame in frames:
+            film.write(frame)
     return path

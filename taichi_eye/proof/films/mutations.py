@@ -61,7 +61,7 @@ class Source:
             target.mkdir()
         with FilmWriter(self.film, 25) as film:
             for k, (frame, when) in enumerate(zip(frames, times)):
-                film.write(frame, when)
+                film.write(frame)
                 Image.fromarray(frame).save(self.images / frame_name(EVERY * k, when))
         shutil.copy(self.film, self.run / "film.mp4")
         scene = 'camera.view = "scheimpflug"\n'

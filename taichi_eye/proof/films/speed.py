@@ -19,7 +19,8 @@ from taichi_eye.bench.timing import best_of
 from taichi_eye.film import FilmView, FilmWriter, FrameState, Scheimpflug
 from taichi_eye.proof.films.eyes import EYES, INTERVAL_MS, Studio
 from taichi_eye.scene import Scene, load_scene
-from taichi_eye.solver.simulation import Simulation, cloud_of
+from taichi_eye.solver.case import cloud_of
+from taichi_eye.solver.simulation import Simulation
 
 BATCH, BATCHES = 50, 7
 TURNS = 2
@@ -72,7 +73,7 @@ def _compiled(scene: Scene, cloud) -> FilmView:
 
 def _filmed(scene: Scene, cloud, view: FilmView, folder: Path) -> None:
     with FilmWriter(folder / "film.mp4", scene.output.film_fps) as film:
-        Simulation(scene, cloud).run(lambda eye, frame: film.write(view.render(_state(eye)), eye.time_ms))
+        Simulation(scene, cloud).run(lambda eye, frame: film.write(view.render(_state(eye))))
 
 
 def _state(eye: Simulation) -> FrameState:

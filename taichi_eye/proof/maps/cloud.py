@@ -15,7 +15,7 @@ rate there. What is left then are smooth modes, which trade energy with the corn
 import numpy as np
 
 from taichi_eye.cloud.packing import WALL
-from taichi_eye.errors import RunStopped
+from taichi_eye.ladder.trial import run_to_stop
 from taichi_eye.proof.maps.result import Map, finish, panels
 from taichi_eye.proof.maps.runs import NAMES, cloud_for, scene_with
 from taichi_eye.solver.simulation import Simulation
@@ -32,7 +32,7 @@ class Twin(Simulation):
 
     def __init__(self, scene, cloud, motion: str, noise_at=()):
         super().__init__(scene, cloud)
-        self.noise_at = {round(t / self.sample_ms) for t in noise_at}
+        self.noise_at = {round(t / self.clock.sample_ms) for t in noise_at}
         self.states, self.health = [], []
         share = self.aqueous.height_fraction.to_numpy()
         if motion != "moved":
@@ -62,12 +62,8 @@ def _run(keys: dict, motion: str, noise_at=()):
     scene = scene_with(keys)
     twin = Twin(scene, cloud_for(scene), motion, noise_at)
     volume = twin.aqueous.volume.to_numpy()[: twin.cloud.count]
-    stop = None
-    try:
-        twin.run()
-    except RunStopped as caught:
-        stop = caught.with_traceback(None)
-    return twin.states, np.array(twin.health), volume, stop, twin.sample_ms, twin.arrays()
+    stop = run_to_stop(twin)
+    return twin.states, np.array(twin.health), volume, stop, twin.clock.sample_ms, twin.traces
 
 
 def _norms(first, second, volume, scene) -> np.ndarray:

@@ -15,14 +15,14 @@ h_wall. These take the whole added mass at once; an explicit compressible step n
 """
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
 from taichi_eye.proof.maps.result import Map, dots, finish, panels
-from taichi_eye.proof.maps.runs import COARSE, cloud_for, run, scene_with
+from taichi_eye.proof.maps.runs import COARSE, cause, cloud_for, run, scene_with
 from taichi_eye.solver import timestep
-from taichi_eye.solver.coupling import RUNNING
+from taichi_eye.solver.case import case_of
+from taichi_eye.solver.figures import RUNNING
 from taichi_eye.solver.simulation import Simulation
 
 BASE = {"numerics.sound_speed_m_s": 300.0, "puff.peak_kpa": 1.0, "puff.duration_ms": 1.0, "numerics.duration_ms": 0.7}
@@ -100,7 +100,7 @@ def coupling(say=print) -> Map:
     found, broken, figures = [], [], {}
     thickness, h = 0.55e-3, COARSE["numerics.spacing_mm"] * 1e-3
     rest, scene = _rest_figures(BASE)
-    acoustic = timestep.limits(rest, scene)["acoustic"]
+    acoustic = timestep.limits(rest, case_of(scene))["acoustic"]
 
     # g from the measured contraction at one dt; all else is then predicted
     say("  contraction against dt")
@@ -113,7 +113,7 @@ def coupling(say=print) -> Map:
     for spacing in SPACINGS:
         keys = {**BASE, "numerics.spacing_mm": spacing, "cornea.density_kg_m3": 0.1 * 1000.0 * h / thickness}
         own, own_scene = _rest_figures(keys)
-        cfl_times.append(0.8 * timestep.limits(own, own_scene)["acoustic"])
+        cfl_times.append(0.8 * timestep.limits(own, case_of(own_scene))["acoustic"])
         fixed_cfl.append(contraction(keys, cfl_times[-1]))
     slope_cfl = float(np.polyfit(np.log(cfl_times), np.log(fixed_cfl), 1)[0])
     panel = axes[0, 2]
@@ -155,7 +155,7 @@ def coupling(say=print) -> Map:
         for ratio in MASS_RATIOS:
             keys = {**BASE, "cornea.density_kg_m3": ratio * 1000.0 * h / thickness, "numerics.coupling": way}
             own, own_scene = _rest_figures(keys)
-            limit = min(timestep.limits(own, own_scene).values())
+            limit = min(timestep.limits(own, case_of(own_scene)).values())
             for step in STEPS:
                 outcomes.append((ratio, step, run({**keys, "numerics.cfl": step * acoustic / limit})))
             say(
@@ -165,11 +165,11 @@ def coupling(say=print) -> Map:
     ratios = np.geomspace(0.7 * MASS_RATIOS[0], 1.4 * MASS_RATIOS[-1], 60)
     peaks = {}
     for panel, (way, outcomes) in zip(axes[0, :2], grid.items()):
-        dots(panel, [r for r, _, _ in outcomes], [s for _, s, _ in outcomes], [o.cause for _, _, o in outcomes])
+        dots(panel, [r for r, _, _ in outcomes], [s for _, s, _ in outcomes], [cause(o) for _, _, o in outcomes])
         q_one, in_plane, used = [], [], []
         for ratio in ratios:
             density = ratio * 1000.0 * h / thickness
-            light_scene = replace(scene, cornea=replace(scene.cornea, density_kg_m3=density))
+            light_scene = scene_with({**BASE, "cornea.density_kg_m3": density})
             q_one.append(1.0 / math.sqrt(theory(acoustic, gap, light_scene)))
             in_plane.append(rest["membrane_step"] * math.sqrt(density / scene.cornea.density_kg_m3) / acoustic)
             heavier = dict(
@@ -178,7 +178,7 @@ def coupling(say=print) -> Map:
                 transverse_speed=rest["transverse_speed"],
                 membrane_speed=rest["membrane_speed"],
             )
-            used.append(timestep.limits(heavier, light_scene)["coupling"] / acoustic)
+            used.append(timestep.limits(heavier, case_of(light_scene))["coupling"] / acoustic)
         panel.plot(ratios, q_one, color="#14539a", label="q = 1, with the measured g")
         panel.plot(ratios, used, "--", color="#14539a", label="the coupling limit in the solver's time step")
         panel.plot(ratios, in_plane, "--", color="#8c3a8c", label="in-plane wave of the membrane: dt = L/speed")
@@ -270,7 +270,7 @@ def coupling(say=print) -> Map:
         keys = {"numerics.spacing_mm": spacing}
         own, own_scene = _rest_figures(keys)
         eye_h.append(spacing)
-        eye_q.append(contraction(keys, 0.8 * timestep.limits(own, own_scene)["acoustic"]))
+        eye_q.append(contraction(keys, 0.8 * timestep.limits(own, case_of(own_scene))["acoustic"]))
     panel.plot(eye_h, eye_q, "o", color="#c9641a", label="measured")
     panel.axhline(1.0, color="#22262b", linestyle=":", linewidth=1, label="loose coupling blows up above")
     finish(panel, "the eye: factor per sweep against spacing", "spacing h (mm)", "q", log="xy")
@@ -302,17 +302,14 @@ def coupling(say=print) -> Map:
         for way, outcomes in grid.items()
         for r, s, o in outcomes
         if o.stop is None
-        and theory(
-            s * acoustic, gap, replace(scene, cornea=replace(scene.cornea, density_kg_m3=r * 1000.0 * h / thickness))
-        )
-        > 1.5
+        and theory(s * acoustic, gap, scene_with({**BASE, "cornea.density_kg_m3": r * 1000.0 * h / thickness})) > 1.5
     ]
     broken += [f"{way}, mass ratio {r:g}, dt {s:g}: q above 1.5 and no stop" for way, r, s in late]
     body = [
         (
             way,
             f"{r:g}",
-            *("ran" if o.stop is None else f"{o.cause} {o.stop.time_ms:.3f} ms" for rr, _, o in outcomes if rr == r),
+            *("ran" if o.stop is None else f"{cause(o)} {o.stop.time_ms:.3f} ms" for rr, _, o in outcomes if rr == r),
         )
         for way, outcomes in grid.items()
         for r in MASS_RATIOS

@@ -26,7 +26,7 @@ def sound_speed(say=print) -> Map:
     for c in SPEEDS:
         runs[c] = each = run({"numerics.sound_speed_m_s": c})
         apex = each.apex
-        say(f"  c {c:5g} m/s: peak {apex.peak:.4f} mm, {each.seconds:.1f} s" + (f", {each.stop}" if each.stop else ""))
+        say(f"  c {c:5g} m/s: peak {apex.peak:.4f} mm, {each.solver_s:.1f} s" + (f", {each.stop}" if each.stop else ""))
     sound = {c: each for c, each in runs.items() if each.stop is None}
     speeds = np.array(sorted(sound))
     peaks = np.array([sound[c].apex.peak for c in speeds])
@@ -85,7 +85,7 @@ def sound_speed(say=print) -> Map:
         min(-1.0, 1.1 * float((rises - laws["rise"][1]).min())), 1.1 * max(1.0, float((falls - laws["fall"][1]).max()))
     )
     finish(right, "half-height times less their limits", "c (m/s)", "ms", log="x")
-    last.plot(speeds, [sound[c].seconds for c in speeds], "o", color="#14539a", label="wall clock (s)")
+    last.plot(speeds, [sound[c].solver_s for c in speeds], "o", color="#14539a", label="wall clock (s)")
     last.plot(speeds, [sound[c].steps / 1e4 for c in speeds], "s", color="#c9641a", label="steps (10$^4$)")
     last.plot(
         fine,
@@ -125,7 +125,7 @@ def sound_speed(say=print) -> Map:
             f"{each.apex.fall_time_ms:.3f}",
             f"{np.abs(each.traces['chamber_volume_error']).max():.2e}",
             str(each.steps),
-            f"{each.seconds:.1f}",
+            f"{each.solver_s:.1f}",
         )
         for c, each in sound.items()
     ]

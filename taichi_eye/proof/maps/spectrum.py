@@ -10,11 +10,13 @@ c/h is what a puff of 32 ms does not notice.
 import numpy as np
 
 from taichi_eye.cloud.packing import FREE, Cloud, complete
+from taichi_eye.eye.eye import eye_of
 from taichi_eye.proof.maps.result import Map, finish, panels
 from taichi_eye.proof.maps.runs import cloud_for, scene_with
 from taichi_eye.proof.spectrum import CoupledSystem, growth, step_matrix
 from taichi_eye.report.page import COLOURS
-from taichi_eye.units import MM, MMHG, MPA_S
+from taichi_eye.solver.scheme import scheme_of
+from taichi_eye.units import MM
 
 ACCEPTED = 1e-4  # c/h
 SMALL_CFL = 0.05  # time step of the spectra, in h/c
@@ -24,21 +26,16 @@ DISSIPATION = (0.0, 0.1, 0.2, 0.3, 0.5)
 
 def eye_setup(scene, **more) -> dict:
     """What `CoupledSystem.setup` takes for the eye of a scene."""
-    cornea, numerics = scene.cornea, scene.numerics
+    eye, scheme = eye_of(scene), scheme_of(scene)
     setup = {
-        "thickness": cornea.thickness_mm * MM,
-        "wall_density": cornea.density_kg_m3,
-        "iop": scene.eye.iop_mmhg * MMHG,
-        "material": (
-            cornea.stiffness_a_pa,
-            cornea.exponent_k / (1.0 + cornea.poisson_ratio),
-            cornea.poisson_ratio,
-            cornea.prestrain,
-        ),
-        "density": scene.aqueous.density_kg_m3,
-        "viscosity": scene.aqueous.viscosity_mpa_s * MPA_S,
-        "sound_speed": numerics.sound_speed_m_s,
-        "dissipation": numerics.dissipation,
+        "thickness": eye.cornea.thickness,
+        "wall_density": eye.cornea.density,
+        "iop": eye.iop,
+        "material": (*eye.cornea.coefficients, eye.apex_prestrain),
+        "density": eye.liquid.density,
+        "viscosity": eye.liquid.viscosity,
+        "sound_speed": scheme.sound_speed,
+        "dissipation": scheme.dissipation,
     }
     return {**setup, **more}
 

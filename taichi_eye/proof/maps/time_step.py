@@ -15,8 +15,9 @@ import numpy as np
 
 from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.proof.maps.result import Map, dots, finish, panels
-from taichi_eye.proof.maps.runs import cloud_for, run, scene_with
+from taichi_eye.proof.maps.runs import cause, cloud_for, run, scene_with
 from taichi_eye.solver import timestep
+from taichi_eye.solver.case import case_of
 from taichi_eye.solver.simulation import Simulation
 
 PUFF = {"puff.duration_ms": 4.0, "numerics.duration_ms": 4.4, "numerics.sound_speed_m_s": 120.0}
@@ -140,7 +141,7 @@ def time_step(say=print) -> Map:
         left,
         [each.scene.numerics.dissipation for each in outcomes],
         [each.scene.numerics.cfl for each in outcomes],
-        [each.cause for each in outcomes],
+        [cause(each) for each in outcomes],
     )
     fine = np.linspace(0.0, 1.0, 101)
     predicted = {}
@@ -148,7 +149,7 @@ def time_step(say=print) -> Map:
         lines = [[], []]
         for alpha in fine:
             scene = scene_with({**PUFF, "numerics.dissipation": float(alpha)})
-            limit = min(timestep.limits(figures, scene).values())
+            limit = min(timestep.limits(figures, case_of(scene)).values())
             for line, step in zip(lines, largest_steps(w, per_unit * alpha)):
                 line.append(step / limit)
         left.plot(fine, lines[0], color=colour, label=f"(w + d) dt = 2, {label}")
@@ -196,7 +197,7 @@ def time_step(say=print) -> Map:
         (
             f"{a:g}",
             *(
-                "ran" if each.stop is None else f"{each.cause} {each.stop.time_ms:.1f} ms"
+                "ran" if each.stop is None else f"{cause(each)} {each.stop.time_ms:.1f} ms"
                 for each in outcomes
                 if each.scene.numerics.dissipation == a
             ),

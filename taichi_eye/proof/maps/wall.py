@@ -11,7 +11,7 @@ moves across the wall, and only a share of its speed runs along it.
 import numpy as np
 
 from taichi_eye.proof.maps.result import Map, dots, finish, panels
-from taichi_eye.proof.maps.runs import run, unguarded
+from taichi_eye.proof.maps.runs import cause, run, unguarded
 
 IOPS = (3.0, 5.0, 8.0, 15.0, 25.0, 40.0)
 PEAKS = (5.0, 10.0, 20.0, 40.0, 80.0)
@@ -38,7 +38,7 @@ def _thrown(outcome) -> float:
 
 def _tension_left(outcome) -> float:
     stress = outcome.traces["cornea_min_stress_kpa"]
-    return 0.0 if outcome.cause == "slack" else float(stress.min() / stress[0])
+    return 0.0 if cause(outcome) == "slack" else float(stress.min() / stress[0])
 
 
 def wall(say=print) -> Map:
@@ -62,7 +62,7 @@ def wall(say=print) -> Map:
                         **_puff(duration),
                         "eye.iop_mmhg": iop,
                         "puff.peak_kpa": peak,
-                        "chamber.sealed": str(sealed).lower(),
+                        "chamber.sealed": sealed,
                     }
                 ),
             )
@@ -71,7 +71,7 @@ def wall(say=print) -> Map:
         ]
         (every if sealed else opened).extend(cases)
         kind = "" if sealed else ", open chamber"
-        dots(panel, [iop for iop, _, _ in cases], [peak for _, peak, _ in cases], [o.cause for _, _, o in cases])
+        dots(panel, [iop for iop, _, _ in cases], [peak for _, peak, _ in cases], [cause(o) for _, _, o in cases])
         finish(
             panel,
             f"puff of {duration:g} ms{kind}",
@@ -85,7 +85,7 @@ def wall(say=print) -> Map:
         say(
             f"  puff of {duration:g} ms{kind}: "
             + ", ".join(
-                f"IOP {iop:g}/{peak:g} kPa {o.cause} {o.stop.time_ms:.1f} ms" for iop, peak, o in cases if o.stop
+                f"IOP {iop:g}/{peak:g} kPa {cause(o)} {o.stop.time_ms:.1f} ms" for iop, peak, o in cases if o.stop
             )
         )
     cases = [
@@ -94,7 +94,7 @@ def wall(say=print) -> Map:
         for peak in PEAKS
     ]
     every += cases
-    dots(strained, [eps for eps, _, _ in cases], [peak for _, peak, _ in cases], [o.cause for _, _, o in cases])
+    dots(strained, [eps for eps, _, _ in cases], [peak for _, peak, _ in cases], [cause(o) for _, _, o in cases])
     finish(
         strained,
         f"puff of {FAST:g} ms, IOP 15 mmHg",
@@ -107,10 +107,10 @@ def wall(say=print) -> Map:
     strained.set_ylim(4.0, 170.0)
     say(
         "  prestrain: "
-        + ", ".join(f"{eps:g}/{peak:g} kPa {o.cause} {o.stop.time_ms:.1f} ms" for eps, peak, o in cases if o.stop)
+        + ", ".join(f"{eps:g}/{peak:g} kPa {cause(o)} {o.stop.time_ms:.1f} ms" for eps, peak, o in cases if o.stop)
     )
     ratio, left = np.array([_thrown(o) for _, _, o in every]), np.array([_tension_left(o) for _, _, o in every])
-    dots(scatter, ratio, left, [o.cause for _, _, o in every])
+    dots(scatter, ratio, left, [cause(o) for _, _, o in every])
     scatter.axvline(THROW, color="#14539a", linewidth=1, label=f"v / c_w = {THROW:g} prestrain")
     scatter.axhline(0.0, color="#22262b", linewidth=1, linestyle=":", label="slack")
     finish(
@@ -151,7 +151,7 @@ def wall(say=print) -> Map:
         share = np.abs(without.traces["energy_error_uj"]) / np.abs(without.traces["puff_work_uj"]).max()
         ripple.semilogy(time[1:], np.maximum(share[1:], 1e-8), color=colour, label=label)
         stop = with_guard.stop.time_ms if with_guard.stop else np.nan
-        if not with_guard.stop or "slack" not in with_guard.cause:
+        if not with_guard.stop or "slack" not in cause(with_guard):
             broken.append(f"{label}: not stopped as slack")
         for panel in (late, ripple):
             panel.axvline(stop, color=colour, linewidth=1, linestyle=":")
@@ -175,7 +175,7 @@ def wall(say=print) -> Map:
                 f"{stress[np.isfinite(stress)].min():.2f}",
                 f"{bad:.2f}" if bad == bad else "not by the energy",
                 f"{100 * np.nanmax(share):.2g} %",
-                f"{fine.cause} {fine.stop.time_ms:.2f} ms" if fine.stop else "ran",
+                f"{cause(fine)} {fine.stop.time_ms:.2f} ms" if fine.stop else "ran",
             )
         )
     late.axhline(0.0, color="#22262b", linewidth=1)
@@ -185,8 +185,8 @@ def wall(say=print) -> Map:
     )
     ripple.axhline(BAD_ENERGY, color="#22262b", linewidth=1, linestyle="--", label="numbers count as bad")
     finish(ripple, "without the guard: energy error over the work", "time (ms)", "share")
-    slack = [o for _, _, o in every if o.cause == "slack"]
-    taut = ratio[[o.cause != "slack" for _, _, o in every]]
+    slack = [o for _, _, o in every if cause(o) == "slack"]
+    taut = ratio[[cause(o) != "slack" for _, _, o in every]]
     found = [
         f"{len(slack)} of {len(every)} corners go slack, all in fast puffs; the default eye keeps "
         f"{_tension_left(next(o for i, p, o in every if (i, p) == (15.0, 10.0))):.2f} of its tension.",
@@ -194,8 +194,8 @@ def wall(say=print) -> Map:
         f"A fast one does from about {THROW:g} c_w prestrain on (apex speed; the number is read "
         "off, the largest taut one "
         f"is {taut.max():.1f}), and already at 1 to 2 where the prestrain is 0.002.",
-        f"In an open chamber {sum(o.cause == 'slack' for _, _, o in opened)} of {len(opened)} corners go slack and "
-        f"{sum(o.cause == 'back' for _, _, o in opened)} reach the back of the chamber first: "
+        f"In an open chamber {sum(cause(o) == 'slack' for _, _, o in opened)} of {len(opened)} corners go slack and "
+        f"{sum(cause(o) == 'back' for _, _, o in opened)} reach the back of the chamber first: "
         "nothing holds the volume.",
         "The guard stops every slack corner at the first sample with a slack element. Its "
         "history up to there agrees with that of "

@@ -1,4 +1,4 @@
-"""Rows of the verification table, and measured orders."""
+"""A measured figure beside its exact value, and measured orders of convergence."""
 
 from dataclasses import asdict, dataclass
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Row:
+class Comparison:
     """One measured figure against its exact value.
 
     error: relative to `exact` unless `quantity` says otherwise; limit: the largest error allowed (None: reported only);

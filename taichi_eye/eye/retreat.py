@@ -8,10 +8,13 @@ problem: the membrane moves relative to its limbus, the camera sees both.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+from taichi_eye.units import MS
 
 COURSE_MS = 0.0, 3.0, 5.5, 7.0, 9.0, 11.0, 13.0, 15.0, 17.0, 19.0, 20.0, 21.5, 23.0, 26.0, 28.0, 30.0, 34.0
 COURSE = 0.0, 0.02, 0.065, 0.155, 0.30, 0.37, 0.41, 0.51, 0.71, 0.94, 1.0, 0.89, 0.76, 0.50, 0.26, 0.10, 0.0
@@ -25,9 +28,15 @@ def _course():
     return PchipInterpolator(COURSE_MS, COURSE, extrapolate=False)
 
 
-def retreat_mm(scene, time_ms: ArrayLike) -> np.ndarray:
-    """How far the globe has retreated [mm] at time_ms, any shape; 0 outside the course."""
-    time = np.asarray(time_ms, dtype=float)
-    if scene.eye.whole_eye_movement_mm == 0.0:
-        return np.zeros_like(time)
-    return scene.eye.whole_eye_movement_mm * np.nan_to_num(_course()(time))
+@dataclass(frozen=True)
+class Retreat:
+    """The whole eye's retreat; peak: the largest [m], 0 where the eye stays."""
+
+    peak: float = 0.0
+
+    def __call__(self, time: ArrayLike) -> np.ndarray:
+        """How far the globe has retreated [m] at times [s], any shape; 0 outside the course."""
+        time = np.asarray(time, dtype=float)
+        if self.peak == 0.0:
+            return np.zeros_like(time)
+        return self.peak * np.nan_to_num(_course()(time / MS))

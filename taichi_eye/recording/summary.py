@@ -1,0 +1,79 @@
+"""summary.json, the last of a run's files: what came out, what it may be doubted for, how long it took."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+import numpy as np
+
+from taichi_eye.recording.observer import Observer
+from taichi_eye.report.compare import differences
+from taichi_eye.report.folder import write_text
+from taichi_eye.report.history import summarise
+
+BALANCE_DOUBTED = 0.02  # energy error over the puff's work
+SQUEEZE_DOUBTED = 0.01  # volume error of a sealed chamber
+
+
+class Summary(Observer):
+    """Makes `Recording.summary` and writes it."""
+
+    def closed(self, ending) -> None:
+        recording = self.recording
+        recording.summary = summary = _summary(recording, ending)
+        write_text(recording.folder / "summary.json", json.dumps(summary, indent=2) + "\n")
+
+
+def _summary(recording, ending) -> dict:
+    traces, history, simulation = ending.traces, ending.history, recording.simulation
+    clock = recording.clock | {"total_s": recording.elapsed_s()}
+    load = summarise(traces["time_ms"], traces["puff_apex_kpa"])
+    work = float(np.abs(traces["puff_work_uj"]).max())
+    apex = {
+        **asdict(history),
+        "fwhm_ms": history.fwhm_ms,
+        "asymmetry": history.asymmetry,
+        "delay_to_puff_ms": history.peak_time_ms - load.peak_time_ms if history.peak > 0 else None,
+    }
+    summary = {
+        "status": "complete" if ending.stop is None else "stopped",
+        "reason": None if ending.stop is None else (str(ending.stop) or "interrupted"),
+        "simulated_ms": float(traces["time_ms"][-1]),
+        "apex_displacement_mm": apex,
+        "fluid_pressure_apex_max_kpa": float(traces["fluid_pressure_apex_kpa"].max()),
+        "cornea_min_stress_kpa": float(traces["cornea_min_stress_kpa"].min()),
+        "chamber_volume_error_max": float(np.abs(traces["chamber_volume_error"]).max()),
+        "energy_error_share_of_work": float(np.abs(traces["energy_error_uj"]).max()) / work if work > 0 else 0.0,
+        "fidelity": recording.scene.numerics.fidelity,
+        **simulation.facts(),
+        "wall_clock": {name: round(seconds, 3) for name, seconds in clock.items()},
+    }
+    summary["warnings"] = _warnings(summary, recording.scene)
+    if recording.measured is not None:
+        measured = recording.measured
+        summary["warnings"] += [f"--compare {measured.name}: {note}" for note in measured.notes]
+        summary["against"] = {
+            "file": measured.name,
+            **differences(traces["time_ms"], traces["apex_displacement_mm"], measured),
+        }
+    if recording.choice is not None:
+        summary["choice"] = recording.choice
+    return summary
+
+
+def _warnings(summary, scene) -> list[str]:
+    """What a finished run should be doubted for, though no guard stopped it."""
+    said = []
+    balance, squeezed = summary["energy_error_share_of_work"], summary["chamber_volume_error_max"]
+    if balance > BALANCE_DOUBTED:
+        said.append(
+            f"the energy balance is off by {100 * balance:.1f} % of the puff's work: lower numerics.spacing_mm"
+            + (', or use numerics.wall_condition = "slip"' if scene.numerics.wall_condition == "no_slip" else "")
+        )
+    if scene.chamber.sealed and scene.numerics.fidelity != "membrane" and squeezed > SQUEEZE_DOUBTED:
+        said.append(
+            f"the liquid was compressed by {100 * squeezed:.1f} %, which deepens the dent: raise "
+            "numerics.sound_speed_m_s"
+        )
+    return said

@@ -1,0 +1,92 @@
+"""Every long study in a short form: few parts, coarse settings, seconds; what is asserted is the study's own verdict.
+
+The commands run in full take minutes each and are run by hand. Here the same commands run on so little that a change
+which breaks a study shows at once; `films` and `chart` have theirs in test_film_rows.py and tests/ladder/test_chart.py.
+"""
+
+import json
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from taichi_eye.cli import main
+from taichi_eye.proof import choices, claims, dcr, stability, verify
+from taichi_eye.proof.maps import corners, runs, sound_speed
+
+HEALTHY = Path(__file__).parents[2] / "configs" / "corvis_healthy.toml"
+
+
+@pytest.fixture
+def there(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_verify_passes_on_small_problems(there, monkeypatch, capsys):
+    few = {name: partial(verify.PARTS[name], quick=True) for name in ("inflation", "hencky")}
+    monkeypatch.setattr(verify, "PARTS", few)
+    assert main(["verify", "--out", "page", "--json", "rows.json"]) == 0
+    rows = json.loads((there / "rows.json").read_text())
+    assert len(rows) == 11 and all(row["passed"] for row in rows)
+    assert f"{len(rows)} of {len(rows)} rows passed; page" in capsys.readouterr().out
+
+
+def test_stability_finds_no_silent_failure_on_a_coarse_eye(there, monkeypatch, capsys):
+    monkeypatch.setattr(runs, "COARSE", {"numerics.spacing_mm": 0.4, "numerics.sound_speed_m_s": 40.0})
+    monkeypatch.setattr(sound_speed, "SPEEDS", (3.0, 5.0, 10.0, 20.0, 30.0, 60.0))
+    monkeypatch.setattr(corners, "FINER", {**corners.FINER, "numerics.spacing_mm": 0.3})
+    few = ("low c", "low c, deep", "loose", "no dissipation", "fast puff, soft eye", "one sweep")
+    monkeypatch.setattr(corners, "CORNERS", {name: corners.CORNERS[name] for name in few})
+    monkeypatch.setattr(stability, "PARTS", {name: stability.PARTS[name] for name in ("sound-speed", "corners")})
+    assert main(["stability", "--out", "maps", "--json", "maps.json"]) == 0
+    said = capsys.readouterr().out
+    assert "Every failing corner ended in a stop with its diagnosis." in said and "SILENCE" not in said
+    figures = json.loads((there / "maps.json").read_text())
+    assert sum("stopped" in figures["corners"][name] for name in few) == 4
+    # with independent potential flow, and the law of the compliance
+    assert figures["sound-speed"]["order"] == pytest.approx(2.0, abs=0.15)
+    assert figures["sound-speed"]["peak_mm"]["3"] == pytest.approx(1.55, rel=0.03)
+
+
+def test_claims_come_to_their_verdicts_on_coarse_nodes(there, monkeypatch):
+    # without the runs whose many steps the verdicts do not need
+    slow = {"c = 160 m/s", "rho_f x 0.01", "rho_f x 0.1", "mu = 0.8 mPa s, no slip"}
+    kept = [case for case in claims.cases() if case.label not in slow]
+    monkeypatch.setattr(claims, "cases", lambda: kept)
+    assert main(["claims", "--spacing-mm", "0.5", "--out", "page", "--json", "claims.json", "--quiet"]) == 0
+    verdicts = [entry["holds"] for entry in json.loads((there / "claims.json").read_text())["claims"]]
+    assert verdicts == [
+        "no",
+        "no",
+        "in part",
+        "yes, by its volume",
+        "yes, if the puff is known",
+        "the globe moves",
+    ]
+
+
+def test_choices_keep_their_tolerance_on_a_coarse_reference(there, monkeypatch):
+    # a reference that is good to a few tenths of a percent
+    monkeypatch.setattr(choices, "PARTS", {"half": ("puff.duration_ms=16", "numerics.duration_ms=14")})
+    monkeypatch.setattr(choices, "TOLERANCES", (10.0, 3.0))
+    monkeypatch.setattr(choices, "LEVELS", ((0.2, 40.0), (0.2, 40.0), (0.2828, 40.0)))
+    monkeypatch.setattr(choices, "grid", lambda: [choices.Setting("cavity", 0.2), choices.Setting("added_mass", 0.4)])
+    status = main(["choices", "--out", "page", "--json", "rows.json"])
+    rows = json.loads((there / "rows.json").read_text())
+    assert len(rows) == 2 and all(row["error"] <= row["tolerance"] for row in rows)
+    assert status == (0 if all(row["passed"] for row in rows) else 1)
+
+
+def test_the_clinical_scene_stays_within_the_norms(there, monkeypatch):
+    monkeypatch.setattr(dcr, "IOP_STEPS_MMHG", (-2.0, 0.0, 2.0))
+    monkeypatch.setattr(dcr, "THICKNESS_STEPS_UM", (-20.0, 0.0, 20.0))
+    monkeypatch.setattr(dcr, "SWITCHES", {name: dcr.SWITCHES[name] for name in ("yielding globe", "thicker rim")})
+    coarse = ["--set", "numerics.fidelity=cavity", "--set", "numerics.spacing_mm=0.25"]
+    assert main(["clinic", str(HEALTHY), *coarse, "--out", "page", "--json", "tables.json", "--quiet"]) == 0
+    tables = json.loads((there / "tables.json").read_text())
+    norms = {row["parameter"]: row["within 1 SD of one"] for row in tables["The scene beside the norms"]}
+    fitted = ("a1_time_ms", "a2_time_ms", "hc_time_ms", "deformation_amplitude_mm", "peak_distance_mm", "hc_radius_mm")
+    assert [norms[dcr.SHOWN[name]] for name in fitted] == ["yes"] * len(fitted)
+    amplitude = tables["Slopes"][0]
+    assert float(amplitude["per mmHg"]) < -0.01 and float(amplitude["per 10 um"]) < 0.0
