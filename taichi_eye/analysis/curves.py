@@ -13,15 +13,18 @@ from math import atan, cos, degrees, sin
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import correlate1d
 from scipy.signal import savgol_filter
 
 from taichi_eye.analysis import optics
 from taichi_eye.analysis.edges import Edges
 from taichi_eye.analysis.following import following
+from taichi_eye.analysis.posterior import ALONG_FRAMES
 from taichi_eye.errors import FilmError
 
 X_STEP_MM, X_REACH_MM = 0.02, 4.5
 SMOOTH_MM = 0.62  # length of the cubic that smooths a curve
+REFRACTING_MM = 1.0  # the same for the surface that light is bent at: its slope decides
 REST_MS = 1.2  # frames that make up the resting shape
 SYMMETRY_MM = 2.2  # reach of the symmetry that gives the axis
 MOVED_MM = 0.05
@@ -159,8 +162,8 @@ def curves_from_edges(edges: Edges, time_ms: np.ndarray, instrument: Instrument)
     inside = np.isfinite(places) & (np.abs(places) < X_REACH_MM)
     thick, profile = None, None
     if inside.any():
-        anterior = _smooth_filled(turned)
         lifted = np.stack([_at_places(one_at[inside], one[inside], places[inside]) for one_at, one in zip(at, lifted)])
+        anterior, lifted = _over_frames(x, _smooth_filled(turned), places[inside], lifted)
         local = optics.thickness(x, anterior, places[inside], lifted, instrument.angle_deg, instrument.refractive_index)
         central = np.abs(places[inside]) <= CENTRAL_MM
         thick = _row_mean(local[:, central])
@@ -179,9 +182,9 @@ def curves_from_edges(edges: Edges, time_ms: np.ndarray, instrument: Instrument)
     )
 
 
-def smooth(height: np.ndarray) -> np.ndarray:
-    """Curves smoothed along x by a moving cubic of SMOOTH_MM; gaps stay gaps."""
-    length = 2 * round(0.5 * SMOOTH_MM / X_STEP_MM) + 1
+def smooth(height: np.ndarray, over_mm: float = SMOOTH_MM) -> np.ndarray:
+    """Curves smoothed along x by a moving cubic over so much; gaps stay gaps."""
+    length = 2 * round(0.5 * over_mm / X_STEP_MM) + 1
     out = np.full_like(height, np.nan)
     for k, one in enumerate(height):
         good = np.flatnonzero(np.isfinite(one))
@@ -210,13 +213,23 @@ def _row_mean(values: np.ndarray) -> np.ndarray:
 
 
 def _smooth_filled(height: np.ndarray) -> np.ndarray:
-    out = smooth(height)
+    out = smooth(height, REFRACTING_MM)
     at = np.arange(height.shape[1])
     for k in range(len(out)):
         good = np.flatnonzero(np.isfinite(out[k]))
         if len(good):
             out[k] = np.interp(at, good, out[k, good])
     return out
+
+
+def _over_frames(
+    x: np.ndarray, anterior: np.ndarray, places: np.ndarray, posterior: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Anterior [frames, columns] averaged over the frames that the posterior's depth was, and the posterior
+    [frames, places] as deep below it: the bend of one frame's surface is noisier than the depth."""
+    mean = correlate1d(anterior, ALONG_FRAMES, axis=0, mode="nearest")
+    moved = np.stack([np.interp(places, x, one) for one in mean - anterior])
+    return mean, posterior + moved
 
 
 def _at_places(at: np.ndarray, value: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -4,9 +4,10 @@ The edge has no line of its own. In a frame straightened along the anterior edge
 a + b [(1 - fade d/e) step((e - d)/blur) + foot line(d)] of depth d, the stroma's fading light and the foot of the
 anterior line, is fitted to groups of columns, linear in a and b, the edge e by search.
 
-Every candidate for e is judged on one and the same window of depths, that of its group; were each judged on a window
-of its own, a short window that holds little would win. The window ends CHAMBER_PX below the place where the mean
-light has fallen half-way from stroma to chamber, before iris and lens. The blur is the camera's: one for the film,
+All candidates for e in a group of columns of a frame are judged on one and the same window of depths; were each judged
+on a window of its own, a short window that holds little would win. The window ends CHAMBER_PX below about where the
+edge lies in that frame, before iris and lens: in a dent they come near an edge that is seen short, and a window as long
+as at rest would take their light for the chamber's. The blur is the camera's: one for the film,
 searched for. What tissue and slit give a column stays the same while the cornea moves, so fade and foot are fitted once
 per group, to the mean of the frames that show the cornea thick; fitted anew in every frame they swap with the edge
 where a thin cornea is seen short. An edge must be a fall, and a best candidate at the end of its search is no answer:
@@ -54,7 +55,8 @@ def posterior_depth(depth: np.ndarray, level: np.ndarray) -> np.ndarray:
     edges = _candidates(centre)
     found = edges[_misfit(depth, mild, centre, _free(blur)).argmin(axis=0)]
     near = median_filter(found, size=(9, 9), mode="nearest")
-    misfit = _misfit(depth, level, centre, _lit(blur, *_light(depth, level, centre, near, blur)))
+    light = _light(depth, level, centre, near, blur)
+    misfit = _misfit(depth, level, centre, _lit(blur, *light), about=near)
     misfit = correlate1d(misfit, np.full(ACROSS_GROUPS, 1.0 / ACROSS_GROUPS), axis=2, mode="nearest")
     misfit = correlate1d(misfit, ALONG_FRAMES, axis=1, mode="nearest")
     near = median_filter(edges[misfit.argmin(axis=0)], size=(5, 9), mode="nearest")
@@ -184,20 +186,36 @@ def _light(
     )
 
 
-def _misfit(depth: np.ndarray, level: np.ndarray, centre: np.ndarray, basis, above_px: float = np.inf) -> np.ndarray:
-    """Mean square that basis(depth, edge, groups) leaves of the levels on each group's window, for the edges
-    `_candidates(centre)`, [candidates, frames, groups]; infinite outside a group's search."""
-    edges = _candidates(centre)
-    misfit = np.full((len(edges), level.shape[0], level.shape[2]), np.inf)
-    for about in np.unique(centre):
-        groups = np.flatnonzero(centre == about)
-        window = (depth >= about - above_px) & (depth <= about + CHAMBER_PX)
-        part = np.ascontiguousarray(level[:, window][:, :, groups])
-        power = (part**2).sum(axis=1)
-        for index in np.flatnonzero(np.abs(edges - about) <= SEARCH_PX + 1e-9):
-            terms = np.linalg.qr(basis(depth[window], edges[index], groups))[0]
-            fitted = np.einsum("dk,fdg->fkg" if terms.ndim == 2 else "gdk,fdg->fkg", terms, part)
-            misfit[index][:, groups] = (power - (fitted**2).sum(axis=1)) / (window.sum() - terms.shape[-1])
+def _misfit(
+    depth: np.ndarray,
+    level: np.ndarray,
+    centre: np.ndarray,
+    basis,
+    above_px: float = np.inf,
+    about: np.ndarray | None = None,
+) -> np.ndarray:
+    """Mean square that basis(depth, edge, groups) leaves of the levels, for the edges `_candidates(centre)`,
+    [candidates, frames, groups]; infinite outside a group's search.
+
+    The window lies about `about` [frames, groups], where that is not given about centre [groups].
+    """
+    edges, step = _candidates(centre), depth[1] - depth[0]
+    about = step * np.round(np.broadcast_to(centre if about is None else about, level.shape[::2]) / step)
+    misfit = np.full((len(edges), *about.shape), np.inf)
+    for middle in np.unique(centre):
+        groups = np.flatnonzero(centre == middle)
+        searched = np.flatnonzero(np.abs(edges - middle) <= SEARCH_PX + 1e-9)
+        for place in np.unique(about[:, groups]):
+            frame, which = np.nonzero(about[:, groups] == place)
+            group = groups[which]
+            window = (depth >= place - above_px) & (depth <= place + CHAMBER_PX)
+            part = level[:, window][frame, :, group]
+            power = (part**2).sum(axis=1)
+            for index in searched:
+                terms = np.linalg.qr(basis(depth[window], edges[index], groups))[0]
+                fitted = part @ terms if terms.ndim == 2 else np.einsum("pdk,pd->pk", terms[which], part)
+                left = power - (fitted**2).sum(axis=1)
+                misfit[index, frame, group] = left / (window.sum() - terms.shape[-1])
     return misfit
 
 
