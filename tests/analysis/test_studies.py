@@ -5,29 +5,34 @@ import pytest
 
 from taichi_eye.analysis import Instrument, curves_from_edges, find_edges, histories, respond
 from taichi_eye.analysis.plausible import believed
-from taichi_eye.proof.films import back_edges, made_up, mutations, obstacles
+from taichi_eye.proof.films import back_edges, made_up, mutations, obstacles, reading
 from taichi_eye.proof.films.eyes import EYES, TIMES_MS, truth
 
 
-def holds(rows):
+def broken(rows):
     return [f"{row.name}: {row.value:.3g} {row.note}" for row in rows if row.holds is False]
 
 
 def test_back_edges_drawn_at_random():
-    # 95 of 100 are asked for: of two dozen, one may be further off
-    rows, _ = back_edges.measure(lambda text: None, films=24, seed=2)
-    assert rows[0].value >= 95.0 * (1.0 - 1.0 / 24.0) and rows[1].holds, holds(rows)
+    rows, _ = back_edges.measure(lambda text: None, films=5, seed=2)
+    assert broken(rows) == []
 
 
 def test_obstacles_drawn_at_random():
-    rows, _ = obstacles.measure(lambda text: None, films=6, seed=3)
-    assert holds(rows) == []
+    rows, _ = obstacles.measure(lambda text: None, films=2, seed=3)
+    assert broken(rows) == []
 
 
 def test_mutated_inputs():
-    rows, _ = mutations.measure(lambda text: None, inputs=40, seed=4)
-    assert holds(rows) == []
-    assert 0 < rows[-1].value < 40
+    rows, _ = mutations.measure(lambda text: None, inputs=10, seed=4)
+    assert broken(rows) == []
+    assert 0 < rows[-1].value < 10
+
+
+def test_reading_of_a_thin_and_of_a_thick_eye():
+    # the thin one dents far, so that its back is seen short and iris and lens close behind it
+    rows, _ = reading.measure(lambda text: None, which=[(9, 2), (1, 1)])
+    assert broken(rows) == []
 
 
 @pytest.mark.parametrize("back_sigma_px, seam", [(0.8, 0.0), (1.5, 4.0), (1.5, -6.0), (3.5, 4.0)])

@@ -3,8 +3,7 @@
 Ten eyes that differ in shape, thickness, depth, width and speed of the dent, retreat and place in the frame; some with
 several seeds of noise. Each row is the worst over all films. Edges: central 7 mm, against the wall that was drawn.
 Apex: of the smoothed history against the true one treated alike. Thickness: mean of the central 1.2 mm; at rest the
-mean of
-the first 3 ms; through the puff the largest departure of a single frame from that mean.
+mean of the first 3 ms; through the puff the largest departure of a single frame from that mean.
 """
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ from taichi_eye.bench.rows import Row, at_least, at_most, figure
 from taichi_eye.proof.films.eyes import EYES, INTERVAL_MS, Studio, rows_px, truth, write_film
 
 SEEDS = {0: (1, 2, 3), 6: (1, 2, 3), 9: (1, 2, 3)}  # of the eyes by number; one seed for the others
+FILMS = tuple((number, seed) for number in range(len(EYES)) for seed in SEEDS.get(number, (1,)))
 CENTRAL_MM = 3.5
 BIOP_MMHG = 15.0
 # name, field of Response, unit, limit; shares in %
@@ -98,14 +98,14 @@ def worst(films: list[tuple[str, dict[str, float]]], name: str, unit: str, limit
     return (at_least if least else at_most)(name, errors[name], unit, limit, note)
 
 
-def measure(stage) -> tuple[list[Row], list[Figure]]:
-    """Film and read all eyes."""
+def measure(stage, which=FILMS) -> tuple[list[Row], list[Figure]]:
+    """Film and read eyes: pairs of an eye's number and a seed of the noise."""
     studio, films = Studio(), []
     with tempfile.TemporaryDirectory() as folder:
-        for number, eye in enumerate(EYES):
-            for seed in SEEDS.get(number, (1,)):
-                stage(f"{eye.name}, seed {seed}")
-                films.append((f"{eye.name}, seed {seed}", read_back(studio, eye, seed, Path(folder))))
+        for number, seed in which:
+            label = f"{EYES[number].name}, seed {seed}"
+            stage(label)
+            films.append((label, read_back(studio, EYES[number], seed, Path(folder))))
     limits = {
         "edge RMS": ("px", 0.5),
         "apex RMS": ("um", 6.0),
