@@ -6,7 +6,6 @@ guard stops or a signal ends leaves the same files up to that time, and its summ
 after it was cut off by anything but a guard, the hidden folder .run holds what `resume` goes on from.
 """
 
-import dataclasses
 import json
 import time
 from dataclasses import dataclass
@@ -115,9 +114,7 @@ def resume(folder: str | Path, progress: bool = False, threads: int | None = Non
         _start_as_begun(folder, manifest, threads)
         measured = manifest["measured"]
         if measured is not None:
-            measured = Measured(
-                **{name: np.array(value) if isinstance(value, list) else value for name, value in measured.items()}
-            )
+            measured = Measured.from_plain(measured)
         with Signals() as signals, Progress(scene.numerics.duration_ms, progress) as bar:
             cloud = cloud_of(scene) if needs_cloud(scene) else None
             simulation = simulation_of(scene, cloud)
@@ -145,15 +142,10 @@ def _refuse_without_encoder() -> None:
 
 def _manifest(scene: Scene, measured: Measured | None, choice: dict | None) -> dict:
     begun = backend.settings()
-    if measured is not None:
-        measured = {
-            name: value.tolist() if isinstance(value, np.ndarray) else value
-            for name, value in dataclasses.asdict(measured).items()
-        }
     return {
         "program": program(),
         "scene": dump_scene(scene),
-        "measured": measured,
+        "measured": None if measured is None else measured.as_plain(),
         "choice": choice,
         **{name: begun[name] for name in ("arch", "precision", "threads")},
     }

@@ -14,7 +14,9 @@ from taichi_eye.analysis.edges import Edges, find_edges
 from taichi_eye.analysis.frames import Film, read_film
 from taichi_eye.analysis.norms import NORMS, z_scores
 from taichi_eye.analysis.pictures import plot_page, write_overlay
+from taichi_eye.analysis.plausible import believed, refuse_what_is_no_cornea
 from taichi_eye.analysis.response import (
+    MOVED_MM,
     Histories,
     Response,
     biop_surrogate_mmhg,
@@ -23,9 +25,11 @@ from taichi_eye.analysis.response import (
     respond,
 )
 from taichi_eye.errors import FilmError
-from taichi_eye.report.folder import create_run_folder, replacing, write_text
+from taichi_eye.film import EncoderError
+from taichi_eye.report.folder import create_run_folder, refuse_taken, replacing, write_text
 
-ANTERIOR_MOVED_MIN_MM = 0.05
+NAME_MAX = 100  # letters of the film's name in the folder's
+PRESSURE_MMHG, AGE_YEARS = (0.0, 100.0), (0.0, 130.0)
 
 
 @dataclass(frozen=True)
@@ -60,25 +64,30 @@ def analyze(
     measured thickness. settings: fields of `Instrument` that differ from the defaults. Raises FilmError where nothing
     can be read, before anything is written; SceneError for a bad output folder.
     """
+    _refuse_pressures(iop_nct_mmhg=iop_nct_mmhg, age_years=age_years, biop_mmhg=biop_mmhg)
+    if write:
+        refuse_taken(out)
     film = read_film(path, **settings)
-    edges = find_edges(film.frames)
-    try:
-        curves = curves_from_edges(edges, film.time_ms, film.instrument)
-    except FilmError as error:
-        raise FilmError(f"{path}: {error}") from None
     pressure = biop_mmhg if biop_mmhg is not None else film.iop_mmhg
     interval = film.instrument.frame_interval_ms
     puff = measured_puff_mmhg
     if film.puff_mmhg is not None:
         puff = lambda t: float(np.interp(t, *film.puff_mmhg))  # noqa: E731
-    response = respond(curves, interval, pressure, puff)
+    edges = find_edges(film.frames)
+    try:
+        curves = curves_from_edges(edges, film.time_ms, film.instrument)
+        history = histories(curves)
+        response = respond(curves, interval, pressure, puff)
+        refuse_what_is_no_cornea(curves, history, response)
+    except FilmError as error:
+        raise FilmError(f"{path}: {error}") from None
     if pressure is None and None not in (iop_nct_mmhg, age_years, response.central_thickness_um):
         pressure = biop_surrogate_mmhg(iop_nct_mmhg, response.central_thickness_um, age_years)
         response = respond(curves, interval, pressure, puff)
-    history = histories(curves)
-    notes = [f"frame times from {film.timed_by}", *curves.notes]
-    if response.deformation_amplitude_mm is None:
-        notes.append(f"the cornea moves less than {ANTERIOR_MOVED_MIN_MM} mm: no parameters of an air puff")
+    response, doubts = believed(response, curves, history, film.timed_by)
+    notes = [f"frame times from {film.timed_by}", *film.notes, *curves.notes, *doubts]
+    if response.deformation_amplitude_mm is None and not (np.nan_to_num(history.apex_mm) > MOVED_MM).any():
+        notes.append(f"the cornea moves less than {MOVED_MM:g} mm: no parameters of an air puff")
     elif response.a1_time_ms is None or response.a2_time_ms is None:
         notes.append("an applanation is missing: the film ends early, starts late, or the dent stays convex")
     true_history = true_response = None
@@ -88,9 +97,19 @@ def analyze(
     result = Analysis(film, edges, curves, history, response, true_history, true_response, tuple(notes))
     if not write:
         return result
-    folder = create_run_folder(out, f"{film.name}-analysis")
-    write_results(result, folder)
+    folder = create_run_folder(out, f"{film.name[:NAME_MAX]}-analysis")
+    try:
+        write_results(result, folder)
+    except (OSError, EncoderError) as error:
+        raise FilmError(f"{folder}: the results could not be written in full ({error})") from None
     return Analysis(**{**vars(result), "folder": folder})
+
+
+def _refuse_pressures(**given: float | None) -> None:
+    for name, value in given.items():
+        low, high = AGE_YEARS if name == "age_years" else PRESSURE_MMHG
+        if value is not None and not low <= value <= high:
+            raise FilmError(f"{name} = {value:g}; allowed is {low:g} to {high:g}")
 
 
 def write_results(result: Analysis, folder: Path) -> None:

@@ -13,18 +13,26 @@ from math import atan, cos, degrees, sin
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import correlate1d
 from scipy.signal import savgol_filter
 
 from taichi_eye.analysis import optics
 from taichi_eye.analysis.edges import Edges
+from taichi_eye.analysis.following import following
+from taichi_eye.analysis.posterior import ALONG_FRAMES
 from taichi_eye.errors import FilmError
 
 X_STEP_MM, X_REACH_MM = 0.02, 4.5
 SMOOTH_MM = 0.62  # length of the cubic that smooths a curve
+REFRACTING_MM = 1.0  # the same for the surface that light is bent at: its slope decides
 REST_MS = 1.2  # frames that make up the resting shape
 SYMMETRY_MM = 2.2  # reach of the symmetry that gives the axis
 MOVED_MM = 0.05
-FOUND_MIN = 0.6  # share of the central columns with an edge, for a frame to count
+FRAMES_MIN = 8
+FOLLOWING_MIN = 0.65  # share of the frames that follow from their neighbours
+FOUND_MIN = 0.4  # share of the columns with an edge, for a frame to count
+COVERED_MAX_MM = 1.3  # of an edge that a frame may lack and still be bridged
+BRIDGE_MM = 0.45  # seen on either side of a gap that it is bridged from, at least
 CENTRAL_MM = 0.6  # half width of the zone of the central thickness
 
 
@@ -45,7 +53,8 @@ class Curves:
 
     time_ms [frames], rising; x_mm [points]; height_mm [frames, points], NaN where not seen; thickness_mm [frames], the
     mean over the central 1.2 mm, and thickness_profile_mm [points] at rest, or None. axis_column_px, apex_row_px,
-    tilt_deg: where the eye lies in the frame. notes: what a reader should know.
+    tilt_deg: where the eye lies in the frame. hidden_mm [frames]: the widest part of a curve that was bridged, or None.
+    notes: what a reader should know.
     """
 
     time_ms: np.ndarray
@@ -56,6 +65,7 @@ class Curves:
     axis_column_px: float = 0.0
     apex_row_px: float = 0.0
     tilt_deg: float = 0.0
+    hidden_mm: np.ndarray | None = None
     notes: tuple[str, ...] = field(default=())
 
 
@@ -91,23 +101,46 @@ def curves_from_edges(edges: Edges, time_ms: np.ndarray, instrument: Instrument)
     width = seen.shape[1]
     third = slice(width // 3, width - width // 3)
     good = seen.mean(axis=1) > FOUND_MIN
-    if good.mean() < 0.5 or good.sum() < 8:
-        raise FilmError(f"a corneal section was found in {good.sum()} of {len(good)} frames only")
+    if good.mean() < 0.5 or good.sum() < FRAMES_MIN:
+        raise FilmError(f"no cornea: a corneal section was found in {good.sum()} of {len(good)} frames only")
     notes = []
     if not good.all():
         notes.append(f"{(~good).sum()} frames without a corneal section left out")
-    cut = (~seen[good][:, third]).any(axis=1).sum()
     time = np.asarray(time_ms, float)[good]
-    rows = edges.anterior[good]
     x_px = np.arange(width) * instrument.pixel_x_mm
-    height = -rows * instrument.pixel_y_mm
-    if cut > 0.02 * len(time):
-        notes.append(f"the cornea's top is cut off or hidden in {cut} frames; bridged by an even polynomial")
-        height = np.stack([_bridged(x_px, one) for one in height])
+    height, hidden_mm, covered_mm = (
+        np.stack(part) for part in zip(*(_bridged(x_px, -row * instrument.pixel_y_mm) for row in edges.anterior[good]))
+    )
+    open_enough = covered_mm <= COVERED_MAX_MM
+    if open_enough.sum() < FRAMES_MIN:
+        raise FilmError(f"too much of the cornea's edge is covered in {(~open_enough).sum()} of {len(good)} frames")
+    if not open_enough.all():
+        notes.append(f"{(~open_enough).sum()} frames left out: more than {COVERED_MAX_MM:g} mm of the edge is masked")
+        time, height, hidden_mm = time[open_enough], height[open_enough], hidden_mm[open_enough]
+        good[good] = open_enough
+    steady = following(time, height)
+    if steady.mean() < FOLLOWING_MIN or steady.sum() < FRAMES_MIN:
+        raise FilmError(
+            "no cornea, or frames out of order: the edge jumps from frame to frame, "
+            f"{(~steady).sum()} of {len(steady)} times"
+        )
+    if not steady.all():
+        notes.append(f"{(~steady).sum()} frames whose edge does not follow from their neighbours' left out")
+    masked = ((~seen[good][:, third]).any(axis=1) & steady).sum()
+    if masked:
+        notes.append(
+            f"a part of the edge is masked in {masked} frames (cut off, or a lash or a speck over it); bridged"
+        )
+    time, height, hidden_mm = time[steady], height[steady], hidden_mm[steady]
+    good[good] = steady
     rest = time <= time[0] + REST_MS
     if time[0] > 3.0:
         notes.append(f"the first frame is at {time[0]:.2f} ms: displacements are from there, not from rest")
     base = _mean_rest(height, rest)
+    end = time >= time[-1] - REST_MS
+    if _bend(x_px, base) >= 0.0 > _bend(x_px, _mean_rest(height, end)):
+        # the film starts in the dent: the eye's place is read from its end
+        rest, base = end, _mean_rest(height, end)
     x = grid()
     centre = _axis(x_px, base - height)
     if centre is None:
@@ -129,8 +162,8 @@ def curves_from_edges(edges: Edges, time_ms: np.ndarray, instrument: Instrument)
     inside = np.isfinite(places) & (np.abs(places) < X_REACH_MM)
     thick, profile = None, None
     if inside.any():
-        anterior = _smooth_filled(turned)
         lifted = np.stack([_at_places(one_at[inside], one[inside], places[inside]) for one_at, one in zip(at, lifted)])
+        anterior, lifted = _over_frames(x, _smooth_filled(turned), places[inside], lifted)
         local = optics.thickness(x, anterior, places[inside], lifted, instrument.angle_deg, instrument.refractive_index)
         central = np.abs(places[inside]) <= CENTRAL_MM
         thick = _row_mean(local[:, central])
@@ -144,13 +177,14 @@ def curves_from_edges(edges: Edges, time_ms: np.ndarray, instrument: Instrument)
         centre / instrument.pixel_x_mm,
         -top / instrument.pixel_y_mm,
         degrees(turn),
+        hidden_mm,
         tuple(notes),
     )
 
 
-def smooth(height: np.ndarray) -> np.ndarray:
-    """Curves smoothed along x by a moving cubic of SMOOTH_MM; gaps stay gaps."""
-    length = 2 * round(0.5 * SMOOTH_MM / X_STEP_MM) + 1
+def smooth(height: np.ndarray, over_mm: float = SMOOTH_MM) -> np.ndarray:
+    """Curves smoothed along x by a moving cubic over so much; gaps stay gaps."""
+    length = 2 * round(0.5 * over_mm / X_STEP_MM) + 1
     out = np.full_like(height, np.nan)
     for k, one in enumerate(height):
         good = np.flatnonzero(np.isfinite(one))
@@ -179,13 +213,23 @@ def _row_mean(values: np.ndarray) -> np.ndarray:
 
 
 def _smooth_filled(height: np.ndarray) -> np.ndarray:
-    out = smooth(height)
+    out = smooth(height, REFRACTING_MM)
     at = np.arange(height.shape[1])
     for k in range(len(out)):
         good = np.flatnonzero(np.isfinite(out[k]))
         if len(good):
             out[k] = np.interp(at, good, out[k, good])
     return out
+
+
+def _over_frames(
+    x: np.ndarray, anterior: np.ndarray, places: np.ndarray, posterior: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Anterior [frames, columns] averaged over the frames that the posterior's depth was, and the posterior
+    [frames, places] as deep below it: the bend of one frame's surface is noisier than the depth."""
+    mean = correlate1d(anterior, ALONG_FRAMES, axis=0, mode="nearest")
+    moved = np.stack([np.interp(places, x, one) for one in mean - anterior])
+    return mean, posterior + moved
 
 
 def _at_places(at: np.ndarray, value: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -233,6 +277,12 @@ def _axis(x: np.ndarray, displacement: np.ndarray) -> float | None:
     return float(candidates[best] + 0.01 * 0.5 * (a - c) / max(a - 2.0 * b + c, 1e-30))
 
 
+def _bend(x: np.ndarray, base: np.ndarray) -> float:
+    """Curvature of a curve's middle half, negative while convex."""
+    near = np.isfinite(base) & (np.abs(x - x.mean()) < 0.25 * np.ptp(x))
+    return float(np.polyfit(x[near] - x.mean(), base[near], 2)[0]) if near.sum() > 10 else 0.0
+
+
 def _pole(x: np.ndarray, base: np.ndarray) -> float:
     good = np.isfinite(base)
     c2, c1, _ = np.polyfit(x[good], base[good], 2)
@@ -246,15 +296,23 @@ def _tangent(x: np.ndarray, base: np.ndarray, centre: float) -> tuple[float, flo
     return float(fit[1]), float(fit[0])
 
 
-def _bridged(x: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """A curve with its gap bridged by the least-squares quartic through what is seen."""
+def _bridged(x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """A curve with each of its inner gaps bridged by the least-squares quartic through as much on either side, the
+    width of the widest gap, and of the widest within the picture (height below 0), not cut off by its top."""
     good = np.isfinite(z)
     if good.all() or good.sum() < 20:
-        return z
-    middle = 0.5 * (x[0] + x[-1])
-    near = good & (np.abs(x - middle) < 4.2)
-    fit = np.polynomial.polynomial.polyfit(x[near] - middle, z[near], 4)
-    first, last = np.flatnonzero(good)[[0, -1]]
-    inner = np.zeros(len(x), bool)
-    inner[first:last] = True
-    return np.where(good | ~inner, z, np.polynomial.polynomial.polyval(x - middle, fit))
+        return z, 0.0, 0.0
+    seen, out, widest, covered = np.flatnonzero(good), z.copy(), 0.0, 0.0
+    for before, after in zip(seen[:-1], seen[1:]):
+        if after == before + 1:
+            continue
+        middle, width = 0.5 * (x[before] + x[after]), x[after] - x[before]
+        widest = max(widest, width)
+        reach = 0.5 * width + max(BRIDGE_MM, width)
+        near = good & (np.abs(x - middle) < reach)
+        fit = np.polynomial.polynomial.polyfit((x[near] - middle) / reach, z[near], 4)
+        gap = slice(before + 1, after)
+        out[gap] = np.polynomial.polynomial.polyval((x[gap] - middle) / reach, fit)
+        if out[gap].mean() < 0.0:
+            covered = max(covered, width)
+    return out, widest, covered

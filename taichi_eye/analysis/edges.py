@@ -7,14 +7,7 @@ them pays for the dark columns in between and for whatever shines above it. Then
 path, averaged along it over a few columns, and the edge is put where the grey level has risen half-way from the air's
 to the anterior line's.
 
-Posterior edge. It has no line of its own, only a soft fall: in the straightened frame the model
-a + b [(1 - fade d/e) step((e - d)/sigma) + foot line(d)] of depth d, the stroma's fading light and the foot of the
-anterior line, is fitted to groups of columns, linear in a and b, the edge e by search. What tissue and slit give a
-column stays
-the same while the cornea moves, so fade and foot are fitted once per group, to the mean of the frames that show the
-cornea
-thick. Fitted anew in every frame they swap with the edge where a thin cornea is seen short (a dent: 0.57 of its
-thickness): errors of 50 um and more, where this leaves 3 um rms.
+The posterior edge is searched for in the frames so straightened, in groups of columns (posterior.py).
 
 Rows are in pixels, 0 the centre of the top row; where a cornea is cut by the top of the frame, or nothing is found,
 rows are NaN.
@@ -25,11 +18,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import correlate1d, gaussian_filter1d, median_filter
-from scipy.special import erf
+from numpy.polynomial.chebyshev import chebvander
+from scipy.ndimage import binary_dilation, binary_opening, correlate1d, gaussian_filter1d, median_filter
+
+from taichi_eye.analysis.posterior import FROM_PX, posterior_depth
 
 REACH_PX = 8  # rows averaged on either side of a step
-CEILING = 0.30  # of the typical step of a frame's central columns: more does not count
+CEILING = 0.30  # of the step that a quarter of a frame's columns exceed: more does not count
 SLOPE_MAX_PX = 4  # rows from one column pair to the next
 SLOPE_COST = 0.03  # of the ceiling, per row of change
 LIT_ABOVE = 0.5  # weight of what shines above a step
@@ -41,19 +36,13 @@ STEP_PX = 0.5  # of the straightened frame
 ABOVE_PX, BELOW_PX = 14.0, 44.0
 LINE_WITHIN_PX = 9.0  # the anterior line peaks so far below its edge, at most
 OUTLIER_PX = 2.5  # from the median of the neighbouring columns
+CURVE_EVERY = 4  # columns
+CURVE_STAGES = (4, 22.0), (6, 10.0), (8, 6.0), (10, 4.0), (12, 3.5)  # degree; rows from it that count no more
+FOREIGN_LIGHT = 1.7  # of the anterior line's usual brightness
+FOREIGN_AIR = 0.2  # of that brightness, over the column's usual air
+LASH_PX = 33  # columns masked together that are more than a speck
+FOREIGN_MARGIN_PX = 17  # columns masked about what is foreign
 GROUP_PX = 12  # columns of a posterior fit
-ACROSS_GROUPS = 3  # groups whose misfits are averaged
-ALONG_FRAMES = 0.25, 0.5, 0.25  # weights of a frame's misfit and its neighbours': depth changes little between frames
-POSTERIOR_SIGMA_PX = 2.55
-POSTERIOR_FROM_PX = 6.0
-LINE_AT_PX, LINE_SIGMA_PX = 4.5, 2.2
-POSTERIOR_BAND_PX = 9.0, 34.0
-POSTERIOR_STEP_PX = 0.25
-CHAMBER_PX = 9.0  # fitted below the edge; iris and lens further down are none of the model
-FADE_MAX, FOOT_MAX = 0.9, 3.0
-POSTERIOR_SHARES = 0.55, 1.6  # of the usual depth in the middle
-POSTERIOR_STRAY_PX = 3.0
-POSTERIOR_OUTLIER_PX = 2.0
 
 
 @dataclass(frozen=True)
@@ -73,10 +62,20 @@ class Edges:
 def find_edges(frames: np.ndarray) -> Edges:
     """Edges in uint8 frames [frames, rows, columns]."""
     coarse = np.concatenate([_paths(part) for part in _chunks(frames)])
+    coarse = continued(coarse, coarse >= 1.0)
     parts = [_refine(part, path) for part, path in zip(_chunks(frames), _chunks(coarse))]
-    anterior, contrast, surface, level = (np.concatenate([part[k] for part in parts]) for k in range(4))
+    anterior, contrast, air, surface, level = (np.concatenate([part[k] for part in parts]) for k in range(5))
+    foreign = _foreign(anterior, contrast, air)
+    anterior[foreign] = np.nan
     groups = frames.shape[2] // GROUP_PX
-    posterior = surface + _fall(offsets()[offsets() >= POSTERIOR_FROM_PX], level)
+    posterior = surface + posterior_depth(offsets()[offsets() >= FROM_PX], level)
+    # a speck on the line hides nothing of what lies behind it
+    hidden = (
+        binary_opening(foreign, np.ones((1, LASH_PX)))[:, : groups * GROUP_PX]
+        .reshape(len(frames), groups, GROUP_PX)
+        .any(axis=2)
+    )
+    posterior = np.where(hidden, np.nan, posterior)
     return Edges(anterior, posterior, (np.arange(groups) + 0.5) * GROUP_PX - 0.5, contrast)
 
 
@@ -108,8 +107,7 @@ def _paths(frames: np.ndarray) -> np.ndarray:
         return (total[:, k + stop : k + stop + rows] - total[:, k + start : k + start + rows]) / (stop - start)
 
     step = mean(0, REACH_PX) - mean(-REACH_PX, 0)
-    third = pairs // 3
-    ceiling = CEILING * np.median(step[:, :, third:-third].max(axis=1), axis=1)[:, None, None]
+    ceiling = CEILING * np.percentile(step.max(axis=1), 75, axis=1)[:, None, None]
     ceiling = np.maximum(ceiling, 2.0).astype(np.float32)
     lit = np.maximum(mean(-LIT_REACH_PX, -REACH_PX) - air - 3.0, 0.0)
     gain = (np.clip(step, -ceiling, ceiling) - LIT_ABOVE * np.minimum(lit, 2.0 * ceiling)) / ceiling
@@ -144,25 +142,73 @@ def _best_path(gain: np.ndarray) -> np.ndarray:
     return path - PAD_PX - 0.5
 
 
+def continued(row: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Rows [frames, columns] made continuous along x: where a path leaves the one smooth curve that most of a frame's
+    columns lie on, that curve. seen: the rows that count.
+
+    The curve is a polynomial along the columns, of rising degree; what lies far from it counts no more at the next
+    degree, so a lash under a tenth of the columns does not bend it.
+    """
+    at = np.linspace(-1.0, 1.0, row.shape[1])
+    part = slice(None, None, CURVE_EVERY)
+    weight, target = seen[:, part].astype(float), np.where(seen, row, 0.0)[:, part]
+    curve = np.zeros_like(row)
+    for degree, far in CURVE_STAGES:
+        powers = chebvander(at, degree)
+        inner = powers[part]
+        ridge = 1e-6 * len(inner) * np.eye(degree + 1)
+        for _ in range(4):
+            normal = np.einsum("fc,ci,cj->fij", weight, inner, inner) + ridge
+            fit = np.linalg.solve(normal, ((weight * target) @ inner)[..., None])[..., 0]
+            off = np.abs(target - fit @ inner.T) / far
+            weight = seen[:, part] * np.clip(1.0 - off**2, 0.0, 1.0) ** 2
+        curve = fit @ powers.T
+    return np.where(np.abs(row - curve) > CURVE_STAGES[-1][1], np.where(seen | (curve > 0.0), curve, row), row)
+
+
+def _foreign(row: np.ndarray, contrast: np.ndarray, air: np.ndarray) -> np.ndarray:
+    """Where an edge [frames, columns] is not the cornea's: a lash, a speck or a logo lies over it.
+
+    Its line is far brighter than that of its neighbours, or what should be air is lit, or it leaves the frame's
+    smooth curve.
+    """
+    good = np.isfinite(row)
+    usual, clear = (_usual(np.where(good, level, np.nan)) for level in (contrast, air))
+    usual = median_filter(usual, size=len(usual) // 4, mode="mirror")
+    foreign = good & (contrast > FOREIGN_LIGHT * np.maximum(usual, CONTRAST_MIN))
+    foreign |= good & (air - clear > FOREIGN_AIR * np.maximum(usual, CONTRAST_MIN))
+    foreign |= good & (np.abs(row - continued(row, good & ~foreign)) > 0.0)
+    return binary_dilation(foreign, np.ones((1, FOREIGN_MARGIN_PX)))
+
+
+def _usual(level: np.ndarray) -> np.ndarray:
+    """Median over the frames of levels [frames, columns], bridged over columns that are NaN in all; 0 without any."""
+    seen = np.isfinite(level).any(axis=0)
+    if not seen.any():
+        return np.zeros(level.shape[1])
+    at = np.arange(level.shape[1])
+    return np.interp(at, at[seen], np.nanmedian(level[:, seen], axis=0))
+
+
 def _refine(frames: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Anterior rows and contrast [frames, columns]; for groups of columns the surface's rows [frames, groups] and the
-    grey levels at the depths from POSTERIOR_FROM_PX on [frames, depths, groups]."""
+    """Anterior rows, contrast and level of the air [frames, columns]; for groups of columns the surface's rows
+    [frames, groups] and the grey levels at the depths from posterior.FROM_PX on [frames, depths, groups]."""
     cut = path < 1.0
     guide = gaussian_filter1d(median_filter(path, size=(1, 9), mode="nearest"), 5.0, axis=1, mode="nearest")
     image = frames.astype(np.float32)
     for _ in range(2):
         offset, straight = _straighten(image, guide)
-        found, contrast = _half_rise(offset, straight)
+        found, line, air = _half_rise(offset, straight)
         row = np.where(cut, np.nan, guide + found)
         row = _without_outliers(row)
         guide = gaussian_filter1d(_filled(row, guide), 4.0, axis=1, mode="nearest")
-    row[contrast < CONTRAST_MIN] = np.nan
+    row[line - air < CONTRAST_MIN] = np.nan
     surface = _filled(row, guide)
     offset, straight = _straighten(image, surface)
     groups = row.shape[1] // GROUP_PX
-    used = offset >= POSTERIOR_FROM_PX
+    used = offset >= FROM_PX
     level = straight[:, used, : groups * GROUP_PX].reshape(len(row), used.sum(), groups, GROUP_PX).mean(axis=3)
-    return row, contrast, surface[:, : groups * GROUP_PX].reshape(len(row), groups, GROUP_PX).mean(axis=2), level
+    return row, line - air, air, surface[:, : groups * GROUP_PX].reshape(len(row), groups, GROUP_PX).mean(axis=2), level
 
 
 def offsets() -> np.ndarray:
@@ -181,8 +227,8 @@ def _straighten(image: np.ndarray, guide: np.ndarray) -> tuple[np.ndarray, np.nd
     return offset, above + share * (np.take_along_axis(image, low + 1, axis=1) - above)
 
 
-def _half_rise(offset: np.ndarray, straight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Offset of the half rise from air to anterior line, and the line's height over the air."""
+def _half_rise(offset: np.ndarray, straight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Offset of the half rise from air to anterior line, and the levels of line and air."""
     near = offset <= LINE_WITHIN_PX
     part, offset = straight[:, near], offset[near]
     # a speck, or a logo's corner, stands out over its neighbours: what exceeds them by far is cut off
@@ -200,7 +246,7 @@ def _half_rise(offset: np.ndarray, straight: np.ndarray) -> tuple[np.ndarray, np
     last = np.minimum(np.where(below.any(axis=1), last, 0), len(offset) - 2)
     a, b = (np.take_along_axis(part, k[:, None], axis=1)[:, 0] for k in (last, last + 1))
     share = np.clip((half - a) / np.maximum(b - a, 1e-3), 0.0, 1.0)
-    return np.where(below.any(axis=1), offset[last] + STEP_PX * share, np.nan), top - air
+    return np.where(below.any(axis=1), offset[last] + STEP_PX * share, np.nan), top, air
 
 
 def _without_outliers(row: np.ndarray) -> np.ndarray:
@@ -218,98 +264,3 @@ def _filled(row: np.ndarray, instead: np.ndarray) -> np.ndarray:
         good = np.isfinite(row[k])
         out[k] = np.interp(at, at[good], row[k, good]) if good.any() else instead[k]
     return out
-
-
-def _fall(depth: np.ndarray, level: np.ndarray) -> np.ndarray:
-    """Depth of the posterior edge below the anterior one for each group of columns, [frames, groups].
-
-    depth [k]; level [frames, k, groups].
-    """
-    groups = level.shape[2]
-    candidates = np.arange(*POSTERIOR_BAND_PX, POSTERIOR_STEP_PX)
-    misfit = _misfit(depth, correlate1d(level, [0.25, 0.5, 0.25], axis=2, mode="nearest"), candidates, _free)
-    # noise and the stroma's own fading make second minima: the search is held near the usual depth of the middle third,
-    # which the sides exceed by up to a half, then near the median of the neighbouring frames and groups
-    third = slice(groups // 3, groups - groups // 3)
-    typical = np.median(candidates[misfit[:, :, third].argmin(axis=0)])
-    far = (candidates < POSTERIOR_SHARES[0] * typical) | (candidates > POSTERIOR_SHARES[1] * typical)
-    misfit[far] = np.inf
-    usual = median_filter(candidates[misfit.argmin(axis=0)], size=(9, 9), mode="nearest")
-    fade, foot = _light(depth, level, usual)
-
-    def lit(d, edge):
-        step, line = _terms(d, edge)
-        body = step * (1.0 - fade[:, None] * np.minimum(d / edge, 1.0)) + foot[:, None] * line
-        return np.stack([np.ones_like(body), body], axis=2)
-
-    misfit = correlate1d(
-        _misfit(depth, level, candidates, lit), np.full(ACROSS_GROUPS, 1.0 / ACROSS_GROUPS), axis=2, mode="nearest"
-    )
-    misfit = correlate1d(misfit, ALONG_FRAMES, axis=1, mode="nearest")
-    misfit[far] = np.inf
-    usual = median_filter(candidates[misfit.argmin(axis=0)], size=(5, 9), mode="nearest")
-    misfit[np.abs(candidates[:, None, None] - usual) > POSTERIOR_STRAY_PX] = np.inf
-    edge = _least(misfit, candidates)
-    # the iris close behind the cornea's border, or a logo, is not a posterior edge
-    astray = np.abs(edge - median_filter(edge, size=(1, 15), mode="mirror")) > POSTERIOR_OUTLIER_PX
-    return np.where(astray, np.nan, edge)
-
-
-def _light(depth: np.ndarray, level: np.ndarray, usual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fade of the stroma and foot of the anterior line [groups], from the mean of the frames in which a group's edge
-    lies at its median depth or deeper; usual [frames, groups]: about where."""
-    thick = usual >= np.median(usual, axis=0)
-    mean = (np.where(thick[:, None], level, 0.0).sum(axis=0) / thick.sum(axis=0))[None]
-    candidates = np.arange(*POSTERIOR_BAND_PX, 0.2 * POSTERIOR_STEP_PX)
-    misfit = _misfit(depth, mean, candidates, _free)
-    about = np.where(thick, usual, 0.0).sum(axis=0) / thick.sum(axis=0)
-    misfit[np.abs(candidates[:, None, None] - about) > POSTERIOR_STRAY_PX] = np.inf
-    edge = candidates[misfit[:, 0].argmin(axis=0)]
-    fade, foot = np.empty(len(edge)), np.empty(len(edge))
-    for group, at in enumerate(edge):
-        here = depth <= at + CHAMBER_PX
-        _, end, slope, line = np.linalg.lstsq(_free(depth[here], at), mean[0, here, group], rcond=None)[0]
-        top = max(end - slope * at, 1e-6)
-        fade[group], foot[group] = -slope * at / top, line / top
-    return tuple(
-        median_filter(np.clip(share, 0.0, most), 9, mode="nearest")
-        for share, most in ((fade, FADE_MAX), (foot, FOOT_MAX))
-    )
-
-
-def _terms(depth: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
-    """The step at the posterior edge and the anterior line over the depth."""
-    return (
-        0.5 * (1.0 - erf((depth - edge) / (np.sqrt(2.0) * POSTERIOR_SIGMA_PX))),
-        np.exp(-0.5 * ((depth - LINE_AT_PX) / LINE_SIGMA_PX) ** 2),
-    )
-
-
-def _free(depth: np.ndarray, edge: float) -> np.ndarray:
-    """Chamber, stroma at the edge, its slope, line: the model of a frame by itself, [k, 4]."""
-    step, line = _terms(depth, edge)
-    return np.column_stack([np.ones_like(step), step, step * (depth - edge), line])
-
-
-def _misfit(depth: np.ndarray, level: np.ndarray, candidates: np.ndarray, basis) -> np.ndarray:
-    """Mean square that basis(depth, edge) leaves of the levels, [candidates, frames, groups]; the basis is [k, terms]
-    for all groups or [groups, k, terms]."""
-    misfit = np.empty((len(candidates), level.shape[0], level.shape[2]))
-    for index, edge in enumerate(candidates):
-        here = slice(0, int(np.searchsorted(depth, edge + CHAMBER_PX)))
-        terms, part = np.linalg.qr(basis(depth[here], edge))[0], level[:, here]
-        fitted = np.einsum("dk,fdg->fkg" if terms.ndim == 2 else "gdk,fdg->fkg", terms, part)
-        misfit[index] = ((part**2).sum(axis=1) - (fitted**2).sum(axis=1)) / (here.stop - terms.shape[-1])
-    return misfit
-
-
-def _least(misfit: np.ndarray, candidates: np.ndarray) -> np.ndarray:
-    """Where the misfit is least, to a fraction of a candidate's step; NaN at the ends of the search."""
-    best = np.clip(misfit.argmin(axis=0), 1, len(candidates) - 2)
-    below, here, above = (np.take_along_axis(misfit, (best + k)[None], axis=0)[0] for k in (-1, 0, 1))
-    inside = np.isfinite(below) & np.isfinite(above)
-    bend = np.where(inside, below - 2.0 * here + above, np.inf)
-    shift = np.where(
-        inside & (bend > 0), 0.5 * (np.where(inside, below, 0.0) - np.where(inside, above, 0.0)) / bend, 0.0
-    )
-    return np.where(inside, candidates[best] + (candidates[1] - candidates[0]) * np.clip(shift, -1, 1), np.nan)

@@ -7,7 +7,8 @@ whole-eye movement  mean deformation 3.6 to 4.0 mm from the apex, both sides. de
 curvature        of the circle fitted to the central 2 mm (+-1 mm); positive while convex.
 A1, A2           the curvature crosses zero, inwards and outwards. Velocity: slope of the apex deformation, local
                  quadratic over +-0.8 ms, about +-3.5 frames. Length: over which the surface leaves its tangent on the
-                 axis by less than 10 um. Amplitude: apex deflection.
+                 axis by less than 10 um, read off a sextic over the central 4 mm, for its ripples come close to that.
+                 Amplitude: apex deflection.
 HC               the largest apex deformation. Radius: one over the concave curvature then. Peak distance: between the
                  two highest points of the curve. Circle radius: of the circle through these two and the apex, which
                  is the one that the norms of the HC radius are held against: the instrument shows about 8 mm beside a
@@ -38,7 +39,7 @@ SIDE_MM = 3.6, 4.0  # where whole-eye movement is read
 CURVATURE_MM = 1.0  # half width of the circle
 RATIO_MM = 0.10  # half width of the mean at +-1 and +-2 mm
 ZONE_MM = 3.5  # half width of area and arc length
-FLAT_MM = 0.010
+FLAT_MM, FLAT_REACH_MM = 0.010, 2.0
 SPEED_MS, SHAPE_MS, TOP_MS = 0.8, 0.7, 1.6  # half widths of the moving polynomials
 MOVED_MM = 0.05
 PARCEL = 512  # times that a moving polynomial is fitted at together
@@ -174,7 +175,7 @@ def respond(
         whole_time, whole = _top(time, h.whole_eye_mm, 2.5)
         if whole > 0.02:
             found |= {"whole_eye_movement_mm": whole, "whole_eye_movement_time_ms": whole_time}
-    if not np.nanmax(h.apex_mm) > MOVED_MM:
+    if not (np.nan_to_num(h.apex_mm) > MOVED_MM).any():
         return _response(found)
     hc, amplitude = _top(time, h.apex_mm, TOP_MS)
     found |= {"hc_time_ms": hc, "deformation_amplitude_mm": amplitude}
@@ -260,18 +261,26 @@ def moving(
 
 def circle_curvature(x: np.ndarray, height: np.ndarray, half_mm: float = CURVATURE_MM) -> float:
     """Curvature [1/mm] of the circle through the central +-half_mm by least squares, convex positive; NaN with gaps."""
-    near = np.abs(x) <= half_mm
+    return circle(x, height, half_mm)[0]
+
+
+def circle(x: np.ndarray, height: np.ndarray, reach: float) -> tuple[float, float]:
+    """Curvature [1/mm], convex positive, of the circle through |x| <= reach by least squares, and the rms distance of
+    the heights from it [mm]; NaN with gaps."""
+    near = np.abs(x) <= reach
     z, at = height[near], x[near]
     good = np.isfinite(z)
     if good.mean() < 0.9:
-        return np.nan
+        return np.nan, np.nan
     z, at = z[good], at[good]
     bend = 0.0
     for _ in range(4):
         # height of a circle of this curvature over its pole
         sag = at**2 / (1.0 + np.sqrt(np.clip(1.0 - bend**2 * at**2, 0.04, None)))
-        bend = -np.linalg.lstsq(np.column_stack([sag, at, np.ones_like(at)]), z, rcond=None)[0][0]
-    return float(bend)
+        shape = np.column_stack([sag, at, np.ones_like(at)])
+        fit = np.linalg.lstsq(shape, z, rcond=None)[0]
+        bend = -fit[0]
+    return float(bend), float(np.sqrt(np.mean((z - shape @ fit) ** 2)))
 
 
 def _response(found: dict[str, float | None]) -> Response:
@@ -357,13 +366,16 @@ def _zone(h: Histories, at: float, name: str) -> dict[str, float]:
 
 
 def _flat_length(x: np.ndarray, z: np.ndarray) -> float:
-    near = np.abs(x) <= 0.3
-    slope, height = np.polyfit(x[near], z[near], 1)
-    off = np.abs(z - height - slope * x) > FLAT_MM
-    left, right = np.flatnonzero(off & (x < 0.0)), np.flatnonzero(off & (x > 0.0))
+    near = (np.abs(x) <= FLAT_REACH_MM) & np.isfinite(z)
+    if near.sum() < 0.9 * (np.abs(x) <= FLAT_REACH_MM).sum():
+        return np.nan
+    fit = np.polynomial.polynomial.polyfit(x[near], z[near], 6)
+    fine = np.arange(-FLAT_REACH_MM, FLAT_REACH_MM, 0.002)
+    off = np.abs(np.polynomial.polynomial.polyval(fine, fit) - fit[0] - fit[1] * fine) > FLAT_MM
+    left, right = np.flatnonzero(off & (fine < 0.0)), np.flatnonzero(off & (fine > 0.0))
     if not len(left) or not len(right):
         return np.nan
-    return float(x[right[0]] - x[left[-1]])
+    return float(fine[right[0]] - fine[left[-1]])
 
 
 def _peaks(x: np.ndarray, z: np.ndarray) -> tuple[tuple[float, float], tuple[float, float]]:

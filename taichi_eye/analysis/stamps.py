@@ -2,7 +2,8 @@
 
 Bright connected shapes of one height on one line are digits, a low one between them the point; each digit is compared
 with those of a few common typefaces. A reading counts where it falls on a whole number of frame intervals and follows
-the readings before it. Unread frames between two readings are counted off where none is missing there; elsewhere their
+the readings before it; readings that differ from frame to frame but do not rise are those of a film out of order, and
+returned as they are. Unread frames between two readings are counted off where none is missing there; elsewhere their
 time stays unknown.
 """
 
@@ -21,6 +22,8 @@ BRIGHT = 110  # grey level that a stamp exceeds
 TILE = 16, 12  # rows, columns that a digit is scaled to
 MATCH_MIN = 0.55  # correlation with the nearest digit
 READ_MIN = 0.5  # share of the frames that must be read
+ORDERED_MIN = 0.8  # share of the readings that rise, in a film in order
+DISTINCT_MIN = 0.9  # share of the readings that differ, in a film out of order
 
 
 def read_stamps(frames: np.ndarray, frame_interval_ms: float) -> np.ndarray | None:
@@ -116,17 +119,15 @@ def _consistent(values: np.ndarray, interval: float) -> np.ndarray | None:
     usable = np.flatnonzero(np.isfinite(values) & near)
     if len(usable) < READ_MIN * len(values):
         return None
-    # longest rising sequence in which no two frames are closer than an interval each
-    length, before = np.ones(len(usable), int), np.full(len(usable), -1)
-    for i in range(len(usable)):
-        for j in range(i):
-            apart = np.round((values[usable[i]] - values[usable[j]]) / interval)
-            if apart >= usable[i] - usable[j] and length[j] + 1 > length[i]:
-                length[i], before[i] = length[j] + 1, j
-    chain = [int(np.argmax(length))]
-    while before[chain[-1]] >= 0:
-        chain.append(int(before[chain[-1]]))
-    kept = usable[chain[::-1]]
+    whole = np.round(number[usable])
+    kept = usable[_rising(whole)]
+    if len(kept) < ORDERED_MIN * len(usable):
+        # read well but out of order: the frames are, where hardly any two read alike
+        if len(np.unique(whole)) < DISTINCT_MIN * len(whole):
+            return None
+        times = np.full(len(values), np.nan)
+        times[usable] = interval * whole
+        return times
     if len(kept) < READ_MIN * len(values):
         return None
     times = np.full(len(values), np.nan)
@@ -136,3 +137,17 @@ def _consistent(values: np.ndarray, interval: float) -> np.ndarray | None:
         if round((times[j] - times[i]) / interval) == j - i:
             times[i:j] = times[i] + interval * np.arange(j - i)
     return times
+
+
+def _rising(number: np.ndarray) -> np.ndarray:
+    """Indices of the longest rising sequence."""
+    length, before = np.ones(len(number), int), np.full(len(number), -1)
+    for i in range(1, len(number)):
+        below = np.where(number[:i] < number[i], length[:i], 0)
+        best = int(below.argmax())
+        if below[best] > 0:
+            length[i], before[i] = below[best] + 1, best
+    chain = [int(np.argmax(length))]
+    while before[chain[-1]] >= 0:
+        chain.append(int(before[chain[-1]]))
+    return np.array(chain[::-1])

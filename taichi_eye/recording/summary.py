@@ -51,9 +51,11 @@ def _summary(recording, ending) -> dict:
     }
     summary["warnings"] = _warnings(summary, recording.scene)
     if recording.measured is not None:
+        measured = recording.measured
+        summary["warnings"] += [f"--compare {measured.name}: {note}" for note in measured.notes]
         summary["against"] = {
-            "file": recording.measured.name,
-            **differences(traces["time_ms"], traces["apex_displacement_mm"], recording.measured),
+            "file": measured.name,
+            **differences(traces["time_ms"], traces["apex_displacement_mm"], measured),
         }
     if recording.choice is not None:
         summary["choice"] = recording.choice

@@ -5,7 +5,8 @@ import pytest
 
 from taichi_eye.analysis import Response
 from taichi_eye.bench.rows import within
-from taichi_eye.proof.films import PARTS, damaged, optics, reading
+from taichi_eye.proof import films
+from taichi_eye.proof.films import PARTS, STANDARD, damaged, optics, reading
 from taichi_eye.proof.films.eyes import EYES, TIMES_MS, TOP_MS, Eye, rows_px, truth, walls_mm
 from taichi_eye.scene import load_scene
 
@@ -68,13 +69,30 @@ def test_differences_and_the_worst_film():
     assert reading.difference(read, true, "hc_radius_mm", "%") == pytest.approx(4.0)
     assert reading.difference(read, true, "deformation_amplitude_mm", "um") == pytest.approx(10.0)
     assert reading.difference(Response(), true, "hc_radius_mm", "%") == float("inf")
-    films = [("a", {"q": 1.0}), ("b", {"q": 3.0}), ("c", {"q": 2.0})]
-    row = reading.worst(films, "q", "px", 2.5)
+    read_films = [("a", {"q": 1.0}), ("b", {"q": 3.0}), ("c", {"q": 2.0})]
+    row = reading.worst(read_films, "q", "px", 2.5)
     assert row.value == 3.0 and row.holds is False and "worst: b" in row.note and "median 2" in row.note
-    assert reading.worst(films, "q", "%", 1.0, least=True).holds
+    assert reading.worst(read_films, "q", "%", 1.0, least=True).holds
 
 
 def test_every_row_of_the_frame_holds():
     rows, figures = optics.measure(lambda text: None)
     assert [row.name for row in rows if row.holds is False] == [] and len(figures) == 1
-    assert load_scene().cornea.thickness_mm == 0.55 and set(PARTS) == {"optics", "reading", "damaged", "speed"}
+    assert load_scene().cornea.thickness_mm == 0.55 and list(PARTS) == [
+        "optics",
+        "reading",
+        "damaged",
+        "back_edges",
+        "obstacles",
+        "mutations",
+        "speed",
+    ]
+
+
+def test_long_studies_run_only_when_named(monkeypatch):
+    asked = []
+    monkeypatch.setattr(films.bench, "report", lambda only, *_, **__: asked.append(tuple(only)) or True)
+    films.report()
+    films.report(("mutations",))
+    assert asked == [("optics", "reading", "damaged", "speed"), ("mutations",)] and asked[0] == STANDARD
+    assert set(PARTS) - set(STANDARD) == {"back_edges", "obstacles", "mutations"}

@@ -78,3 +78,74 @@ def test_histories_that_do_not_overlap_or_finish(tmp_path):
     path.write_text("time_ms,deflection_mm\n40,0.1\n41,0.2\n")
     off = differences([0, 1, 2], [0, 0.1, 0.2], read_measured(path))
     assert off["rms_mm"] is None and off["fall_time_ms"] is None
+
+
+def written(path, text, encoding="utf-8"):
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time_ms;deflection_mm\n0,0;0,0\n1,5;0,25\n2,0;0,5\n",
+        "sep=;\r\ntime_ms;deflection_mm\r\n0;0\r\n1,5;0,25\r\n2;0,5\r\n",
+        "sep=,\ntime_ms,deflection_mm\n0,0\n1.5,0.25\n2,0.5\n",
+        "Time (ms)\tDeflection [mm]\n0\t0\n1.5\t0.25\n2\t0.5\n",
+        "time,deflection\nms,mm\n0,0\n1.5,0.25\n2,0.5\n",
+        "time;deflection\n[s];[um]\n0;0\n0,0015;250\n0,002;500\n",
+        "time_us,deflection_um\n0,0\n1500,250\n2000,500\n",
+        "time_s,deflection_m,eye\n0,0,left\n0.0015,0.00025,left\n0.002,0.0005,left\n",
+        "time_ms,deflection_mm\n2,0.5\n0,0\n1.5,0.25\n",
+        "time_ms,deflection_mm\n0,0\n0.7,\n1.5,0.25\n,0.3\n2,0.5\n",
+        "# one line\u2028still it \u0085 and \x0b still\ntime_ms,deflection_mm\n0,0\n1.5,0.25\n2,0.5\n",
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_what_a_spreadsheet_makes_of_a_table_is_undone(tmp_path, text, encoding):
+    measured = read_measured(written(tmp_path / "m.csv", text, encoding))
+    assert measured.time_ms == pytest.approx([0.0, 1.5, 2.0]) and measured.column == "deflection_mm"
+    assert measured.displacement_mm == pytest.approx([0.0, 0.25, 0.5])
+
+
+@pytest.mark.parametrize(
+    "text, note",
+    [
+        ("time_ms,deflection_mm\n2,0.5\n0,0\n1.5,0.25\n", "order of their times"),
+        ("time_ms,deflection_mm\n0,0\n0.7,\n1.5,0.25\n", "1 rows with a blank cell"),
+        ("time_us,deflection_mm\n0,0\n700,0.1\n", "converted to time_ms"),
+    ],
+)
+def test_what_was_mended_is_said(tmp_path, text, note):
+    assert any(note in said for said in read_measured(written(tmp_path / "m.csv", text)).notes)
+
+
+def test_the_histories_of_an_analysis_will_do(tmp_path):
+    t = np.linspace(0, 32, 65)
+    rows = np.column_stack([t, hump(t), hump(t, 0.8), 0.2 * hump(t), 0 * t])
+    header = "time_ms,apex_deformation_mm,apex_deflection_mm,whole_eye_movement_mm,apex_velocity_m_s"
+    np.savetxt(tmp_path / "histories.csv", rows, delimiter=",", header=header, comments="")
+    measured = read_measured(tmp_path / "histories.csv")
+    assert measured.column == "deflection_mm" and measured.displacement_mm == pytest.approx(hump(t, 0.8))
+
+
+T = np.linspace(0.0, 32.0, 33)
+
+
+@pytest.mark.parametrize(
+    "time, values, part",
+    [
+        (T, -hump(T), "must be positive"),
+        (T, 0.02 - hump(T), "must be positive"),
+        (1e-3 * T, hump(T), "is it in s"),
+        (1e3 * T, hump(T), "is it in us"),
+        (T + 100.0, hump(T), "count from the puff's start"),
+        (T, 1e3 * hump(T), "is it in um"),
+        (T, 1e-3 * hump(T), "is it in m"),
+    ],
+)
+def test_a_history_in_other_units_or_of_another_sign_is_refused(tmp_path, time, values, part):
+    path = tmp_path / "m.csv"
+    np.savetxt(path, np.column_stack([time, values]), delimiter=",", header="time_ms,deflection_mm", comments="")
+    with pytest.raises(SceneError, match=part):
+        read_measured(path)
