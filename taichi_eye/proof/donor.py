@@ -18,7 +18,6 @@ from taichi_eye.eye.eye import Eye
 from taichi_eye.eye.tissue import strain
 from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.solver.cornea import Cornea
-from taichi_eye.solver.rest import place_cornea
 from taichi_eye.units import MMHG
 
 ELEMENTS = 96
@@ -38,7 +37,7 @@ class HeldCornea:
     def __init__(self, eye: Eye, elements: int = ELEMENTS):
         self.count = elements + 1
         self.cornea = Cornea(self.count)
-        self.place = place_cornea(self.cornea, eye, elements).copy()
+        self.place = self.cornea.build(eye, elements).copy()
         self.pressure = eye.iop
         free = np.ones((self.count, 2), dtype=bool)
         free[0, 0] = free[-1, 0] = free[-1, 1] = False

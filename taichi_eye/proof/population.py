@@ -44,7 +44,7 @@ def eye_at(scene: Scene, iop_mmhg: float, thickness_um: float) -> Scene:
         "cornea.limbus_thickness_mm": cornea.limbus_thickness_mm + thicker,
     }
     # a linear globe is taken at each pressure anew; one after Friedenwald follows the pressure itself
-    if own.get("chamber.globe_law", "linear") == "linear":
+    if own["chamber.globe_law"] == "linear":
         changes["chamber.compliance_mm3_mmhg"] = scene.chamber.compliance_mm3_mmhg * was / iop_mmhg
     return scene.but({name: value for name, value in changes.items() if value != own[name]})
 

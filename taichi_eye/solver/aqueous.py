@@ -48,10 +48,12 @@ import numpy as np
 
 from taichi_eye.backend import real
 from taichi_eye.cloud.packing import FIXED, FREE, SLIDE, WALL, Cloud
+from taichi_eye.eye.eye import Eye
 from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.mfpm.neighbours import NeighbourLists
 from taichi_eye.mfpm.operators import CONDITION_LIMIT, SEARCH_RADIUS, STENCIL, WIDTH, MfpmOperators
 from taichi_eye.solver.globe import Globe
+from taichi_eye.solver.scheme import Scheme
 
 CORNERS = 12  # triangles that may meet in a node
 
@@ -135,6 +137,23 @@ class Aqueous:
             **self.globe.evolving(),
         }
 
+    def build(self, cloud: Cloud, eye: Eye, scheme: Scheme, number: int = 0, first: int = 0) -> None:
+        """Place the nodes of an eye, and its globe behind them, at rest; number: of the eye, first: of its first
+        node."""
+        self.setup(
+            cloud,
+            density=eye.liquid.density,
+            viscosity=eye.liquid.viscosity,
+            sound_speed=scheme.sound_speed,
+            dissipation=scheme.dissipation,
+            no_slip=scheme.no_slip,
+            sealed=eye.liquid.sealed,
+            mean_speed=scheme.mean_sound_speed,
+            eye=number,
+            first=first,
+        )
+        self.globe.build(eye, number)
+
     def setup(
         self,
         cloud: Cloud,
@@ -145,9 +164,6 @@ class Aqueous:
         dissipation: float,
         no_slip: bool = False,
         sealed: bool = True,
-        compliance: float = 0.0,
-        globe_delay: float = 0.0,
-        globe_pressure: float = np.inf,
         mean_speed: float | None = None,
         stencil: int | None = None,
         eye: int = 0,
@@ -155,10 +171,9 @@ class Aqueous:
     ) -> None:
         """Place the nodes of one eye at rest, choose their stencils and compute all weights (SI units).
 
-        compliance: volume [m^3/Pa] by which the rest of the globe yields at rest, globe_delay [s] late, after
-        Friedenwald with a finite globe_pressure P0 [Pa]; mean_speed: the mean pressure's sound speed (default: the
-        waves'); stencil: neighbours wanted per node; the basis has its own number.
-        Several eyes are set up in their order, each from the node after the last one's on.
+        mean_speed: the mean pressure's sound speed (default: the waves'); stencil: neighbours wanted per node; the
+        basis has its own number. The globe behind is rigid (`Globe.build` says otherwise). Several eyes are set up in
+        their order, each from the node after the last one's on.
         """
         self.nodes[eye] = count = cloud.count
         corner = np.zeros((count, CORNERS), dtype=np.int32)
@@ -188,9 +203,6 @@ class Aqueous:
             dissipation_length=dissipation * sound_speed * cloud.spacing,
             no_slip=no_slip,
             sealed=sealed,
-            compliance=compliance,
-            globe_delay=globe_delay,
-            globe_pressure=globe_pressure,
             mean_speed=mean_speed or sound_speed,
             eye=eye,
             first=first,
@@ -247,9 +259,6 @@ class Aqueous:
         dissipation_length: float,
         no_slip: int,
         sealed: int,
-        compliance: float,
-        globe_delay: float,
-        globe_pressure: float,
         mean_speed: float,
         eye: int,
         first: int,
@@ -262,7 +271,7 @@ class Aqueous:
             self.density0[eye], self.viscosity[eye], self.sound_speed[eye] = density, viscosity, sound_speed
             self.dissipation_length[eye], self.no_slip[eye] = dissipation_length, no_slip
             self.sealed[eye], self.outflow[eye] = sealed, 0.0
-            self.globe.rest(eye, compliance, globe_delay, globe_pressure)
+            self.globe.rest(eye, 0.0, 0.0, ti.math.inf)
             self.mean_speed[eye] = mean_speed
             for t in range(triangles.shape[0]):
                 for k in ti.static(range(3)):

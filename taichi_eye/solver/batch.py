@@ -29,7 +29,6 @@ from taichi_eye.solver.case import case_of, clouds_of
 from taichi_eye.solver.figures import at, at_rest, traces_of
 from taichi_eye.solver.folding import Folding
 from taichi_eye.solver.guards import Guard, liquid_advice
-from taichi_eye.solver.rest import place_cornea
 from taichi_eye.solver.state import State
 from taichi_eye.solver.timestep import NAMES, StepLimits
 from taichi_eye.solver.workspace import borrow
@@ -100,22 +99,8 @@ class Batch:
     def _place_at_rest(self, number: int) -> None:
         case, cloud, first = self.cases[number], self.clouds[number], int(self.first[number])
         eye, scheme = case.eye, case.scheme
-        nodes = place_cornea(self.cornea, eye, cloud.wall_count - 1, number, first)
-        self.aqueous.setup(
-            cloud,
-            density=eye.liquid.density,
-            viscosity=eye.liquid.viscosity,
-            sound_speed=scheme.sound_speed,
-            dissipation=scheme.dissipation,
-            no_slip=scheme.no_slip,
-            sealed=eye.liquid.sealed,
-            compliance=eye.globe_compliance,
-            globe_delay=eye.globe.delay,
-            globe_pressure=eye.globe_pressure,
-            mean_speed=scheme.mean_sound_speed,
-            eye=number,
-            first=first,
-        )
+        nodes = self.cornea.build(eye, cloud.wall_count - 1, number, first)
+        self.aqueous.build(cloud, eye, scheme, number, first)
         self.coupling.setup(
             iterated=scheme.iterated,
             aitken=scheme.aitken,

@@ -55,6 +55,7 @@ import numpy as np
 
 from taichi_eye.backend import real
 from taichi_eye.eye import jet
+from taichi_eye.eye.eye import Eye
 from taichi_eye.eye.laws import LAWS, Law
 from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.solver import rings
@@ -120,6 +121,34 @@ class Cornea:
     def evolving_of_eyes(self) -> dict:
         """The same of eyes."""
         return {"relaxed_work": self.relaxed_work, "puff_work": self.puff_work}
+
+    def build(self, eye: Eye, elements: int, number: int = 0, first: int = 0) -> np.ndarray:
+        """Place an eye's cornea of so many elements at rest; its nodes [elements + 1, 2] (m).
+
+        number, first: of the eye and of its first node in the fields.
+        """
+        nodes = eye.section.cornea_nodes(elements)
+        middle = 0.5 * (nodes[1:, 0] + nodes[:-1, 0])
+        tissue, thickness = eye.cornea, eye.thickness(middle)
+        self.setup(
+            nodes,
+            thickness=thickness,
+            density=tissue.density,
+            coefficients=tissue.coefficients,
+            prestrain=eye.prestrain(middle),
+            iop=eye.iop,
+            load_shape=eye.puff.radial(nodes[:, 0], 1.0 / eye.section.radius),
+            load_rate=eye.puff.radial_rate,
+            dent_feedback=eye.puff.dent_feedback,
+            rigidity=eye.rigidity(thickness),
+            shear_stiffness=eye.shear_stiffness * thickness,
+            shear_delay=tissue.shear_delay,
+            overstress_share=tissue.overstress_share,
+            relaxation_time=tissue.relaxation_time,
+            eye=number,
+            first=first,
+        )
+        return nodes
 
     def setup(
         self,

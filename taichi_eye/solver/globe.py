@@ -14,6 +14,7 @@ Energy: the work done on the globe, by the trapezoidal rule, is what it stores, 
 """
 
 from taichi_eye.backend import real
+from taichi_eye.eye.eye import Eye
 from taichi_eye.lang import ti
 
 LOWEST = -0.9  # of P0: below this excess pressure Friedenwald's law goes on as its tangent
@@ -35,6 +36,14 @@ class Globe:
     def evolving(self) -> dict:
         """The fields that evolve, by name (`taichi_eye.solver.state`)."""
         return {"globe_taken_up": self.taken_up, "globe_work": self.work, "globe_mean_pressure": self.mean_pressure}
+
+    def build(self, eye: Eye, number: int = 0) -> None:
+        """Put an eye's globe at rest; number: of the eye."""
+        self._build(number, eye.globe_compliance, eye.globe.delay, eye.globe_pressure)
+
+    @ti.kernel
+    def _build(self, eye: int, compliance: float, delay: float, rest_pressure: float):
+        self.rest(eye, compliance, delay, rest_pressure)
 
     @ti.func
     def rest(self, eye, compliance, delay, rest_pressure):

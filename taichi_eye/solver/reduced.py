@@ -28,7 +28,6 @@ from taichi_eye.solver.folding import Folding
 from taichi_eye.solver.guards import CLOSED, Advice, Guard
 from taichi_eye.solver.motion import Motion
 from taichi_eye.solver.potential import LayerFlow, PotentialFlow
-from taichi_eye.solver.rest import place_cornea
 from taichi_eye.solver.rings import ring_areas
 from taichi_eye.solver.state import State
 from taichi_eye.solver.timestep import bending_limit, shear_damping
@@ -108,21 +107,19 @@ class Reduced:
 
     def _place_at_rest(self) -> None:
         eye = self.eye
-        nodes = place_cornea(self.cornea, eye, self.wall_count - 1)
+        nodes = self.cornea.build(eye, self.wall_count - 1)
         volume = self.section.volume()
         self.stepper.setup(
             back=self.section.back_height(nodes[:, 0]),
             volume=volume,
             compliance=volume / BULK_MODULUS,
-            globe_compliance=eye.globe_compliance,
-            globe_delay=eye.globe.delay,
-            globe_pressure=eye.globe_pressure,
             sealed=eye.liquid.sealed and self.holds_volume,
             density=eye.liquid.density,
             bending_step=bending_limit(eye),
             shear_damping=shear_damping(eye),
             least_stress=-math.inf if eye.cornea.is_shell else 0.0,
         )
+        self.stepper.globe.build(eye)
 
     @property
     def time_ms(self) -> float:

@@ -99,9 +99,6 @@ class WallStepper:
         back: ti.types.ndarray(),
         volume: float,
         compliance: float,
-        globe_compliance: float,
-        globe_delay: float,
-        globe_pressure: float,
         sealed: int,
         density: float,
         bending_step: float,
@@ -114,7 +111,6 @@ class WallStepper:
         of the shear's viscosity times a squared element [m^2/s]; least_stress [Pa]: at which an alarm is given."""
         self.sealed[None], self.status[None], self.steps[None], self.aged[None] = sealed, RUNNING, 0, 1
         self.compliance[None], self.rest_volume[None], self.density[None] = compliance, volume, density
-        self.globe.rest(0, globe_compliance, globe_delay, globe_pressure)
         self.last_dt[0], self.largest_work[0], self.progress[0] = 0.0, 0.0, 0.0
         self.bending_step[None], self.shear_damping[None] = bending_step, shear_damping
         self.least_stress[None] = least_stress
