@@ -149,3 +149,16 @@ def test_a_history_in_other_units_or_of_another_sign_is_refused(tmp_path, time, 
     np.savetxt(path, np.column_stack([time, values]), delimiter=",", header="time_ms,deflection_mm", comments="")
     with pytest.raises(SceneError, match=part):
         read_measured(path)
+
+
+def test_a_history_goes_through_a_json_file_with_its_notes(tmp_path):
+    import json
+
+    path = tmp_path / "eye.csv"
+    path.write_text(
+        "time_ms,apex_deformation_mm,apex_deflection_mm\n0,0,0\n8.5,0.5,0.4\n16,1,0.9\n24,0.2,0.1\n", encoding="utf-8"
+    )
+    measured = read_measured(path)
+    again = type(measured).from_plain(json.loads(json.dumps(measured.as_plain())))
+    assert measured.notes and again.notes == measured.notes and again.name == measured.name == "eye.csv"
+    assert list(again.time_ms) == [0.0, 8.5, 16.0, 24.0] and list(again.displacement_mm) == [0.0, 0.4, 0.9, 0.1]
