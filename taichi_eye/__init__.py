@@ -5,9 +5,8 @@
     result = taichi_eye.run(scene, out="renders/iop20")
     result.traces["apex_displacement_mm"].max()
 
-`resume` goes on with a run that was cut off.
-`Simulation` is the coupled solver without film and files, `run_batch` the same for many scenes at once, `simulation_of`
-the rung of the ladder that a scene's fidelity asks for.
+`resume` goes on with a run that was cut off. `Simulation` is the coupled solver without film and files, `run_batch` the
+same for many scenes at once, `simulation_of` the rung of the ladder that a scene's fidelity asks for.
 """
 
 from taichi_eye.errors import RunStopped, SceneError  # noqa: E402

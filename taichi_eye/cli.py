@@ -2,9 +2,8 @@
 `clinic`, `fit-clinic`, `claims`, `films`, `choices`, `bench`.
 
 Exit status: 0 done; 1 the run left its validity and was stopped (what was computed so far is in the run folder), or a
-row of `verify`, `films`, `choices` or `bench` does not hold, or a file or standard output could not be
-written; 2 bad input, nothing
-written; 130 interrupted, 143 ended by SIGTERM, 129 by SIGHUP.
+row of `verify`, `films`, `choices` or `bench` does not hold, or a file or standard output could not be written; 2 bad
+input, nothing written; 130 interrupted, 143 ended by SIGTERM, 129 by SIGHUP.
 """
 
 import argparse

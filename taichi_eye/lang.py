@@ -1,8 +1,8 @@
 """The kernel language: the one door through which it comes, as `from taichi_eye.lang import ti`.
 
-Taichi is the default. Where Python has no wheel of it (3.14 on), quadrants is installed instead, a maintained twin
-that runs the same kernels; the environment variable TAICHI_EYE_LANG ("taichi" or "quadrants")
-asks for one of the two. NAME says which one it is.
+Taichi is the default. Where Python has no wheel of it (3.14 on), quadrants is installed instead, a maintained twin that
+runs the same kernels; the environment variable TAICHI_EYE_LANG ("taichi" or "quadrants") asks for one of the two. NAME
+says which one it is.
 
 Both abort on import where the environment names no folder for compiled kernels, and at the end of the process where
 that folder cannot be written. So a folder is chosen before the import (see `taichi_eye.caches`), CACHE, and named to

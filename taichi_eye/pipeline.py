@@ -54,10 +54,10 @@ def run(
     """Simulate and film a scene into a run folder.
 
     out: a new or empty folder; None for renders/<name>-001, -002, ... compare: CSV with a measured history (columns
-    time_ms and apex_displacement_mm or deflection_mm). progress: a bar on the terminal.
-    Raises SceneError for bad input before anything is written. After what was computed so far has been written:
-    RunStopped when a guard stops the run, Interrupted when SIGINT, SIGTERM or SIGHUP ends it, OutputError when a file
-    cannot be written; from the last two `resume` goes on.
+    time_ms and apex_displacement_mm or deflection_mm). progress: a bar on the terminal. Raises SceneError for bad input
+    before anything is written. After what was computed so far has been written: RunStopped when a guard stops the run,
+    Interrupted when SIGINT, SIGTERM or SIGHUP ends it, OutputError when a file cannot be written; from the last two
+    `resume` goes on.
     """
     started = time.perf_counter()
     refuse_taken(out)

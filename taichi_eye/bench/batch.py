@@ -2,10 +2,8 @@
 
 32 eyes of one chamber that differ in IOP, puff and thickness. One after another: each set up and run alone by
 `Simulation`, as a script would, its node cloud given. At once: one `Batch`, its clouds given. Set-ups are timed apart:
-over a whole
-puff they are 1 % of an eye's time or less. Of each piece, an eye's run alone or a sample of the batch, some 0.1 s both,
-the
-best of several turns counts. The answers must be the same to the last bit.
+over a whole puff they are 1 % of an eye's time or less. Of each piece, an eye's run alone or a sample of the batch,
+some 0.1 s both, the best of several turns counts. The answers must be the same to the last bit.
 
 What a batch gains: a second core, and Python, which does at a sample for all eyes at once what it does for one. The
 smaller the eye, the larger Python's share: hence the three sizes.

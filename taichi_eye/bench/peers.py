@@ -3,28 +3,23 @@
 PySPH (Ramachandran et al., ACM Trans. Math. Softw. 47:4, 2021) is installed by pip into an environment of its own in
 the user's cache folder and runs its own Taylor-Green example (`taichi_eye.bench.pysph_cases`): Re 100, c = 10 U, unit
 periodic box, the example's kernel and time step, with OpenMP on one thread and on all that the bench has, in turns: the
-quicker
-counts. Entered are EDAC, the best of its schemes here, on the lattice and on a lattice perturbed by 0.2 dx as its
-authors do, and the example's default, TVF, perturbed. At n = 50 to t = 1: EDAC 5 %, perturbed 1.3 %; TVF 45 %,
-perturbed 9 %;
-GTVF 26 %; WCSPH 90 %. A scheme that is nearer on a coarser lattice keeps that point.
+quicker counts. Entered are EDAC, the best of its schemes here, on the lattice and on a lattice perturbed by 0.2 dx as
+its authors do, and the example's default, TVF, perturbed. At n = 50 to t = 1: EDAC 5 %, perturbed 1.3 %; TVF 45 %,
+perturbed 9 %; GTVF 26 %; WCSPH 90 %. A scheme that is nearer on a coarser lattice keeps that point.
 
 Here: the solver's own fluid kernels (`taichi_eye.proof.flow`) with the default dissipation of 0.5, f64, on the same
 whole box, all four vortices, one thread. Nodes rest, as they do in the eye where the wall rests; PySPH's particles are
 carried along. Both have the exact velocity as their measure: L2 error at t = 1, at their own nodes. Compilation and
-set-up
-count for neither. Time at equal error: between runs by log-log interpolation, from the quickest run or scheme at that
-error.
+set-up count for neither. Time at equal error: between runs by log-log interpolation, from the quickest run or scheme at
+that error.
 
 Sound in a closed box: u = A sin(2 pi x) over two periods, inviscid; the walls are planes of symmetry of the periodic
 box. Entered are WCSPH and TVF, whose lattice never moves there.
 
 Both on one thread, times here over PySPH's at equal error: Taylor-Green at 10 / 5 / 2 % 20 / 26 / 41 times less, sound
 at 2 / 0.5 / 0.2 % 66 / 37 / 26 times less; 3 M updates/s against 0.06 and 0.12. Node for node PySPH is the nearer of
-the two
-on the vortices (625 nodes for 2.4 %, here some 2800), whose error here is the dissipation's, third order in h: it is
-the
-price of stability between walls, and with 0.1 instead of 0.5 it would be a seventh.
+the two on the vortices (625 nodes for 2.4 %, here some 2800), whose error here is the dissipation's, third order in h:
+it is the price of stability between walls, and with 0.1 instead of 0.5 it would be a seventh.
 
 Not entered: jax-sph (pip found no distribution of it when tried) and Warp, which has kernels and a neighbour grid but
 no solver of such flows: it would be a solver of this project.

@@ -6,16 +6,12 @@ filled it. Then the same stages in one process by its own clock, and a second sc
 
 What a start consists of, on two cores of an EPYC, in CPU seconds to the first frame: numpy and Taichi 0.3, its start
 0.1, scipy's spatial package 0.3, matplotlib's colours 0.1, packing 0.05, kernels 1.5 from the cache and 4.5 without.
-Kernels
-from the cache are not free: Taichi runs its Python front end over each to find its key (see `taichi_eye.frontend`: a
-third
-of a cached start before), and generates machine code from what it finds. Scipy's interpolation and matplotlib's figures
-load
-when something is interpolated or drawn; tables of the film come by one kernel a view. The time loop, the largest
-kernel, compiles after the first frame, and apart from the survey: together they took twice the time. Fields are made
-for at
-least 2048 nodes, so that all scenes below share their kernels, in the cache too. What gained nothing: Python's
-collector off.
+Kernels from the cache are not free: Taichi runs its Python front end over each to find its key (see
+`taichi_eye.frontend`: a third of a cached start before), and generates machine code from what it finds. Scipy's
+interpolation and matplotlib's figures load when something is interpolated or drawn; tables of the film come by one
+kernel a view. The time loop, the largest kernel, compiles after the first frame, and apart from the survey: together
+they took twice the time. Fields are made for at least 2048 nodes, so that all scenes below share their kernels, in the
+cache too. What gained nothing: Python's collector off.
 """
 
 import json

@@ -40,10 +40,10 @@ REST = 1e-9  # in spacings per sweep: what counts as moving
 class Cloud:
     """Nodes of one chamber at rest; all lengths in metres.
 
-    points [n, 2]; the first wall_count nodes are the cornea's, apex first, limbus last.
-    kind [n]: FREE, WALL, SLIDE (along direction [n, 2]) or FIXED. triangles [t, 3]: counter-clockwise.
-    wall_index [n], wall_fraction [n]: the cornea element above a node and the place within it;
-    height_fraction [n]: 0 on the rigid back, 1 on the cornea (the node motion, see `taichi_eye.solver.aqueous`).
+    points [n, 2]; the first wall_count nodes are the cornea's, apex first, limbus last. kind [n]: FREE, WALL, SLIDE
+    (along direction [n, 2]) or FIXED. triangles [t, 3]: counter-clockwise. wall_index [n], wall_fraction [n]: the
+    cornea element above a node and the place within it; height_fraction [n]: 0 on the rigid back, 1 on the cornea (the
+    node motion, see `taichi_eye.solver.aqueous`).
     """
 
     section: Section

@@ -303,9 +303,9 @@ def grey_levels(level: float, quantile: np.ndarray) -> np.ndarray:
 def edge_profiles() -> tuple[np.ndarray, float]:
     """Cross-sections tabulated over the distance from an edge along its normal, -10..14 px in 1/64 px.
 
-    Returns the anterior step, the line's excess and the posterior step (1 inside the stroma, 0 behind), shape
-    [n, 3], and the share of the stroma's brightness under the peak of the line. The anterior
-    table is shifted so that on the axis half the rise to the peak lies on the surface itself.
+    Returns the anterior step, the line's excess and the posterior step (1 inside the stroma, 0 behind), shape [n, 3],
+    and the share of the stroma's brightness under the peak of the line. The anterior table is shifted so that on the
+    axis half the rise to the peak lies on the surface itself.
     """
     offset = np.arange(-PROFILE_BEFORE_PX * STEPS_PER_PX, PROFILE_AFTER_PX * STEPS_PER_PX + 1) / STEPS_PER_PX
     share = step(LINE_DEPTH_PX / RISE_SIGMA_PX)

@@ -2,8 +2,7 @@
 
 Taichi hands a CPU thread at least 512 turns of a loop at once, more than an image has rows or columns. A strip
 therefore has as many turns and is drawn in the first of them, by plain loops that keep what a column or a row has in
-common in
-registers. On a GPU a strip is one row or column, and every turn draws.
+common in registers. On a GPU a strip is one row or column, and every turn draws.
 """
 
 from taichi_eye.backend import on_cpu

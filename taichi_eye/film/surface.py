@@ -5,13 +5,12 @@ The wall is a polyline of a surface of revolution. It is resampled once per fram
 pixels apart (linear interpolation then errs by less than 0.01 px where the radius of curvature exceeds 1
 mm); everything drawn afterwards reads the table, so no pixel searches the wall.
 
-Refraction. The slit lights the plane y = 0; the camera looks at it under `angle_deg` to the axis in planes
-x = const, from far away (parallel rays). A ray that enters the surface at Q = (x, y, z_a(sqrt(x^2 + y^2)))
-bends by Snell's law at the surface's normal there and meets the lit plane in a point P; the image shows P
-where the straight air ray through Q meets that plane, (x, 0, z_Q - y / tan(angle)). For every radius the
-entry point whose P lies on the posterior surface (the anterior one moved inwards along its normals by the
-thickness there) is found by secants. For a flat surface apparent/true depth is
-tan(asin(sin(angle)/n))/tan(angle).
+Refraction. The slit lights the plane y = 0; the camera looks at it under `angle_deg` to the axis in planes x = const,
+from far away (parallel rays). A ray that enters the surface at Q = (x, y, z_a(sqrt(x^2 + y^2))) bends by Snell's law at
+the surface's normal there and meets the lit plane in a point P; the image shows P where the straight air ray through Q
+meets that plane, (x, 0, z_Q - y / tan(angle)). For every radius the entry point whose P lies on the posterior surface
+(the anterior one moved inwards along its normals by the thickness there) is found by secants. For a flat surface
+apparent/true depth is tan(asin(sin(angle)/n))/tan(angle).
 
 What lies deeper, iris and lens, is seen through the same surface: further rays of a column, each entering a little
 further down, give P over the apparent height by linear interpolation. The aqueous humour counts as cornea there (1.336

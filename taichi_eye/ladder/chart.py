@@ -132,8 +132,7 @@ class Chart:
 
         model: of a rung's own limit h -> 0 against the reference; space: against that limit; for mfpm space and sound
         speed by halving the square of h and c, scaled to the point by their second order; time and coupling: what
-        halving cfl
-        and iterating changes at the setting they were tried at.
+        halving cfl and iterating changes at the setting they were tried at.
         """
         found: dict[str, dict[str, float]] = {}
         for rung in ("cavity", "added_mass"):

@@ -320,8 +320,7 @@ def viscous_share(run: Reduced) -> float:
 
     The liquid moves radially at U(r, t), one speed over the depth, as continuity asks. Under slip walls its strain
     rates lose 2 mu (U_r^2 + U^2/r^2 + (U_r + U/r)^2) per volume; at a no-slip wall a Stokes layer (nu t)^1/2 thick, t
-    the
-    time in which the flow changes, but no thicker than a sixth of the depth, loses mu U^2 over its thickness.
+    the time in which the flow changes, but no thicker than a sixth of the depth, loses mu U^2 over its thickness.
     """
     scene = run.scene
     viscosity, density = scene.aqueous.viscosity_mpa_s * MPA_S, scene.aqueous.density_kg_m3

@@ -13,8 +13,7 @@ class Misfit:
 
     peak: of the apex displacement; half_times: the later of the two shifts of the 50 % times over the width at half
     height; history: largest difference at any time over the peak; rms: the same, root mean square; pressure: largest
-    difference
-    of the pressure under the apex over its largest excess.
+    difference of the pressure under the apex over its largest excess.
     """
 
     peak: float

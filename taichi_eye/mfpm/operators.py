@@ -30,17 +30,13 @@ the sum above to rounding (at most 3e-14 of the apex history); x are the places 
 
 Speed (`taichi-eye bench --only step`; here in cycles a node of one thread of an EPYC, by the processor's counters,
 since clocks on a shared machine are no guide; 16093 nodes). A time step is two passes over the stencils, each reading
-its
-weights once and gathering pressure and velocity together: 130 + 140, beside 130 of a bare gather; with products of
+its weights once and gathering pressure and velocity together: 130 + 140, beside 130 of a bare gather; with products of
 weight and distance d stored and each neighbour's gradients multiplied by them it took 180 + 195. Rows without images
-skip
-their decoding. Sums are four numbers wide and kept by component, so that LLVM's vectoriser takes them: with one number
-in
-four left unread it gives up, 590 instructions against 430. What did not pay: dissipation and Laplacian weights in f32
-(their
-conversion costs what their memory saves, 112 against 99 for a bare gather), all weights of an entry in one vector (220
-against 127), unrolling 14 neighbours (compiles ten times longer, runs the same). Rows packed one after the other
-instead of WIDTH apart save 15 % of a pass, of the bare gather as well.
+skip their decoding. Sums are four numbers wide and kept by component, so that LLVM's vectoriser takes them: with one
+number in four left unread it gives up, 590 instructions against 430. What did not pay: dissipation and Laplacian
+weights in f32 (their conversion costs what their memory saves, 112 against 99 for a bare gather), all weights of an
+entry in one vector (220 against 127), unrolling 14 neighbours (compiles ten times longer, runs the same). Rows packed
+one after the other instead of WIDTH apart save 15 % of a pass, of the bare gather as well.
 """
 
 from taichi_eye.backend import real

@@ -6,10 +6,9 @@
 Each is a comparison of runs that differ in one thing: the numerical sound speed c, the fluid's density (c goes as its
 inverse root, so that the acoustic stiffness rho c^2 of the chamber stays), its viscosity and wall condition, the mass
 of the cornea, a sealed or an open chamber, the load's time course, the IOP, and the tissue that an examiner does not
-know.
-Delays have the load's own measure subtracted. A quasi-static cornea would follow a symmetric puff without delay and
-without asymmetry, so with the Gaussian puff what is found is dynamics; with the measured puff, itself asymmetric, the
-quasi-static answer is subtracted (`quasi_static`).
+know. Delays have the load's own measure subtracted. A quasi-static cornea would follow a symmetric puff without delay
+and without asymmetry, so with the Gaussian puff what is found is dynamics; with the measured puff, itself asymmetric,
+the quasi-static answer is subtracted (`quasi_static`).
 """
 
 from __future__ import annotations

@@ -2,8 +2,7 @@
 
 A `Vessel` is a straight cylinder (or, planar, a box): radius (width) a, height H, its top at z = 0 where the cornea
 would be. A `Hemisphere` is a half drop on its plane of symmetry. `Images` complete a domain by copies of its nodes
-beyond its
-edges: mirrored (free slip) or shifted by a period.
+beyond its edges: mirrored (free slip) or shifted by a period.
 """
 
 from dataclasses import dataclass, replace

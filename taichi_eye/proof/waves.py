@@ -129,8 +129,8 @@ def cylinder_frequencies(
 
     beta^2 = m w^2/T, J1(k_n a) = 0 with k_0 = 0, q_n^2 = k_n^2 - w^2/c^2, G_n = coth(q_n H)/q_n, G_0 = -(c/w) cot(w
     H/c); the roots of J0(beta a) + sum_n [2 beta J1(beta a)/(a (beta^2 - k_n^2))] rho w^2 G_n/(T k_n^2 - (m + rho G_n)
-    w^2) =
-    0, without those at beta = k_n. c = 30: 265.5412, 524.7111, 796.995 Hz; c = 100: 266.4176, 526.4479, 799.7255.
+    w^2) = 0, without those at beta = k_n. c = 30: 265.5412, 524.7111, 796.995 Hz; c = 100: 266.4176, 526.4479,
+    799.7255.
     """
     k = np.concatenate([[0.0], jn_zeros(1, terms) / a])
 
@@ -164,8 +164,7 @@ def coupled_cylinder(quick: bool = False):
 
     Dry: J0(beta a) = 0: 234.436, 538.128, 843.613 Hz. a 6, H 3 mm. The dissipation is alpha c h, so at c 100 m/s its
     price shows: with alpha 0.5 the errors at 0.106 mm are 0.06 / 0.15 / 0.23 % and fall at order 1.6; the rows take
-    0.3, the
-    least that is stable.
+    0.3, the least that is stable.
     """
     a, depth = 6e-3, 3e-3
     grids = {

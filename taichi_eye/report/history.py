@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 class History:
     """Summary of a history; times in ms, None where the history does not get there or never leaves zero.
 
-    peak, peak_time_ms: of the parabola through the highest sample and its neighbours.
-    rise_time_ms, fall_time_ms: last upward crossing of half the peak before it, first downward one after it, linear
-    between samples. fwhm_ms: fall less rise. asymmetry: (fall - peak time)/(peak time - rise), 1 if symmetric.
+    peak, peak_time_ms: of the parabola through the highest sample and its neighbours. rise_time_ms, fall_time_ms: last
+    upward crossing of half the peak before it, first downward one after it, linear between samples. fwhm_ms: fall less
+    rise. asymmetry: (fall - peak time)/(peak time - rise), 1 if symmetric.
     """
 
     peak: float

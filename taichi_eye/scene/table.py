@@ -58,11 +58,10 @@ def read_table(path: Path, wanted: Sequence[str], mended: list[str] | None = Non
     """Columns of a table whose first line (comments after # and a `sep=` line aside) is a header.
 
     wanted: names with the unit at the end, as in "time_ms". Every cell of a wanted column must be a finite number,
-    `time_ms` must increase from row to row, and there must be at least two rows. With a list `mended`, columns may
-    be named in other words or units, rows out of order are sorted and rows with a blank cell left out, and what was
-    done is appended to it. Wanted columns that the
-    header lacks are left out of the answer unless none is there; other columns are not read. Returns float64 arrays,
-    shape [rows]. SceneError names file, line and value.
+    `time_ms` must increase from row to row, and there must be at least two rows. With a list `mended`, columns may be
+    named in other words or units, rows out of order are sorted and rows with a blank cell left out, and what was done
+    is appended to it. Wanted columns that the header lacks are left out of the answer unless none is there; other
+    columns are not read. Returns float64 arrays, shape [rows]. SceneError names file, line and value.
     """
     header, delimiter, rows = _rows(path, wanted)
     columns = _columns(path, header, wanted, exact=mended is None)

@@ -3,8 +3,7 @@
 The eyes stand one after the other in the same fields (`taichi_eye.mfpm.neighbours`), and each has its own time step,
 rebuilds, samples, guards and traces. Time is cut into film frames, frames into samples of at most `SAMPLE_MS`, samples
 into equal steps below the stable limit of the moment; all eyes take a sample together, in one launch. At each sample
-the
-traces grow by a row, the guards look, and the operator weights are rebuilt once the wall has moved by
+the traces grow by a row, the guards look, and the operator weights are rebuilt once the wall has moved by
 `numerics.refresh_travel` spacings since they were last. An eye that a guard stops, or that has reached its end, rests
 while the others go on.
 

@@ -15,8 +15,8 @@ the midpoint rule (r_m between nodes), so a uniform pressure does exactly p dV o
 
 Rings, not the hat functions of finite elements: those load the apex with h^2/6 of the radius integral where its ring
 has h^2/8, and that point load makes a logarithmic spike, an apex that converges at order 1.3-1.7 only. With rings, 32 /
-64
-/ 128 elements put the apex of the default eye 0.22 / 0.056 / 0.014 % deep under the peak load of the puff: order 1.98.
+64 / 128 elements put the apex of the default eye 0.22 / 0.056 / 0.014 % deep under the peak load of the puff: order
+1.98.
 
 Bending, where the scene asks for it: a shell instead of a membrane. With phi the inclination of an element, the changes
 of curvature from rest are (phi_k - phi_k-1) / L at the nodes and (sin phi - sin phi0) / R_k on the elements, and
@@ -34,16 +34,15 @@ whose work is lost. A step takes the viscous part from the change over the step 
 
 Relaxation, where the scene asks for it: quasi-linear viscoelasticity (Fung), one relaxation time. On the elastic stress
 S comes an overstress q, dq/dt = g dS/dt - q / tau: a sudden stretch meets 1 + g times the slow stiffness, a slow one
-none
-of it, and in between motion is damped, at most by tan(delta) = (g/2) / sqrt(1 + g) at a period of 2 pi tau sqrt(1 + g).
-Moments of bending carry the same. A step takes the exact answer to a stress that changes evenly over it,
+none of it, and in between motion is damped, at most by tan(delta) = (g/2) / sqrt(1 + g) at a period of 2 pi tau sqrt(1
++ g). Moments of bending carry the same. A step takes the exact answer to a stress that changes evenly over it,
 
     q_n+1 = e^(-dt/tau) q_n + g (1 - e^(-dt/tau)) (tau/dt) (S_n+1 - S_n),
 
 so tau sets no limit to the step; only the waves are faster, by sqrt(1 + g). The work done against the overstress is
 summed by the trapezoidal rule and closes the energy balance; what of it has not yet become heat is not told apart. A
-dashpot
-alone (Kelvin-Voigt) would limit the step to L^2 rho / (2 eta), a fiftieth of the acoustic one for the damping wanted.
+dashpot alone (Kelvin-Voigt) would limit the step to L^2 rho / (2 eta), a fiftieth of the acoustic one for the damping
+wanted.
 
 Rest. The discrete sphere is in equilibrium with the IOP up to O(h^2); that remainder is computed once at the reference
 and subtracted as a dead load, so that a scene without a puff stays at rest to rounding.

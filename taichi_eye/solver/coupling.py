@@ -29,8 +29,7 @@ between two over the nodes. P p is summed once for all sweeps; a sweep sums the 
 Tried on two cores and left out: all threads in one launch per sample, meeting at barriers in memory. 4089 nodes went
 from 0.37 to 0.53 of the bare gather's rate, 16 k from 0.33 to 0.35; but a thread that waits spins, and one other busy
 process on the machine made it 4 to 6 times slower. Tasks taken one by one as they become ready (0.48) bear that better
-and gain
-little.
+and gain little.
 """
 
 import numpy as np

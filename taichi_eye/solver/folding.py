@@ -17,15 +17,13 @@ with S' = d/dS along the meridian at rest, R0 the radius at rest and all cos^2, 
 
 The state is stable where this form is positive definite for every m from 2 on. The chamber's volume does not change to
 first order in the amplitude, so its stiffness does not help, and the liquid's inertia only slows what grows. Overstress
-of a
-relaxing tissue is left out: it fades. Rim and apex are held.
+of a relaxing tissue is left out: it fades. Rim and apex are held.
 
 A complete sphere under outer pressure folds at 2 E (h/R)^2 / sqrt(3 (1 - nu^2)), the classical value: found to 2.5 %
 (tests/solver/test_folding.py). A dent is another matter: compression is confined to the ring around it, with tension on
 both sides and the liquid's pressure behind it, and bears 2 to 2.2 times the classical stress 2 sqrt(D E h) / (R h)
-before it folds
-into 5 to 7 lobes (shells as thin in bending as `configs/corvis_healthy.toml`'s). So the classical stress is where
-looking begins.
+before it folds into 5 to 7 lobes (shells as thin in bending as `configs/corvis_healthy.toml`'s). So the classical
+stress is where looking begins.
 """
 
 import numpy as np

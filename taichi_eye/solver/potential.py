@@ -3,26 +3,20 @@
 The velocity is the gradient of phi with lap phi = q in the chamber, q uniform (0 where the chamber is sealed, the sink
 of an open one), d phi/dn = wall velocity on the cornea and 0 on the rigid back, mirrored at the axis. Collocated on the
 MFPM cloud: the Laplacian row on interior nodes, on boundary ones the Laplacian of a fit that has the normal derivative
-built
-in, the mean of phi set to zero, q the multiplier that this and the wall's fluxes ask for.
+built in, the mean of phi set to zero, q the multiplier that this and the wall's fluxes ask for.
 
-Boundary rows. With n and s across and along the wall and g = d phi/dn given, the quadratic fit is
-phi_j - phi_i - g n_j = s_j D_s + n_j^2/2 D_nn + n_j s_j D_ns + s_j^2/2 D_ss (Wendland weights as in `taichi_eye.mfpm`),
-and its Laplacian is set to q: both the equation and the condition hold there. Collocating the one-sided normal
-derivative alone
-makes the wall 4-8 times heavier than it should be: the first three modes of the cylinder of `taichi-eye verify` at 0.3
-mm are -1.1/-2.8/-4.5 % off, with the cubic basis -0.5/-1.2/-2.5 %, with the fit +0.4/-0.2/-0.8 %.
+Boundary rows. With n and s across and along the wall and g = d phi/dn given, the quadratic fit is phi_j - phi_i - g n_j
+= s_j D_s + n_j^2/2 D_nn + n_j s_j D_ns + s_j^2/2 D_ss (Wendland weights as in `taichi_eye.mfpm`), and its Laplacian is
+set to q: both the equation and the condition hold there. Collocating the one-sided normal derivative alone makes the
+wall 4-8 times heavier than it should be: the first three modes of the cylinder of `taichi-eye verify` at 0.3 mm are
+-1.1/-2.8/-4.5 % off, with the cubic basis -0.5/-1.2/-2.5 %, with the fit +0.4/-0.2/-0.8 %.
 
 One sparse LU, solved for a unit flux through each wall node's ring, gives the flow map F [nodes, walls] (potential of
 every node per ring flux, 1/m) and its wall rows, the Neumann-to-Dirichlet matrix N. With Q_i = G_i . v_i the flux of
-ring i
-(G its area vector) the liquid's kinetic energy is rho/2 Q^T N Q, so N would be symmetric in exact arithmetic of a
-Galerkin
-method. Collocation leaves it unsymmetric by some percent, most in the column of the apex, whose ring is tiny: what a
-flux
-through that ring alone does far away is resolved badly and hardly matters, while the row is accurate. Taking the
-symmetric part
-instead mixes the two: 30 % wrong at the apex.
+ring i (G its area vector) the liquid's kinetic energy is rho/2 Q^T N Q, so N would be symmetric in exact arithmetic of
+a Galerkin method. Collocation leaves it unsymmetric by some percent, most in the column of the apex, whose ring is
+tiny: what a flux through that ring alone does far away is resolved badly and hardly matters, while the row is accurate.
+Taking the symmetric part instead mixes the two: 30 % wrong at the apex.
 
 The wall pressure follows from Bernoulli's equation on the moving nodes (`taichi_eye.solver.reduced`).
 """

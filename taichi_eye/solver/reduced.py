@@ -2,10 +2,8 @@
 
 What each feels of the liquid is told in `taichi_eye.solver.wall_stepper`. A run without callbacks is a handful of
 kernel launches: milliseconds. Frames are kept, so that a run that has been made can be filmed afterwards. Where a film
-shows
-the liquid, its velocity and pressure at a frame are those of potential flow under the wall's own motion, computed for
-that
-frame alone: the wall of a cheap rung drives them, they do not act back.
+shows the liquid, its velocity and pressure at a frame are those of potential flow under the wall's own motion, computed
+for that frame alone: the wall of a cheap rung drives them, they do not act back.
 """
 
 import ast

@@ -3,8 +3,7 @@
 The volume between the wall and a plane is the sum over elements of pi r_m^2 dz, r_m the radius in the middle (midpoint
 rule). An element from a to b adds to the derivative of the volume with respect to both its ends: (-pi r_m dz, +-pi
 r_m^2), plus at its start and minus at its end. A node's derivative, summed over its two elements, is the area vector
-[m^2] of
-its ring, half an element to either side.
+[m^2] of its ring, half an element to either side.
 """
 
 import math

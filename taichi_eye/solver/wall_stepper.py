@@ -25,9 +25,8 @@ sweep per step. What is quadratic in the velocity is taken once per sample.
 Volume. p0 is the multiplier of V(x) = V0 - C p0 at the END of the step, found by Newton's iteration to 1e-13 of V0, so
 a stiff chamber costs no time step and its volume does not drift. C is the compliance of the globe
 (`taichi_eye.solver.globe`, whose law and delay may make another volume of its C p0) plus V0 / K with K the bulk modulus
-of water. Where C is so soft that the chamber's own mode is resolved, p0 = (V0 -
-V)/C
-of the start of the step: the end's value would damp it. In an open chamber p0 = 0.
+of water. Where C is so soft that the chamber's own mode is resolved, p0 = (V0 - V)/C of the start of the step: the
+end's value would damp it. In an open chamber p0 = 0.
 
 Time: leapfrog, the membrane's in-plane waves (and bending) set the step. A sample's steps run inside one kernel.
 """

@@ -2,8 +2,8 @@
 
 A law is written once, as a function `text(math, func)` of a namespace with exp, sqrt, ... and of a decorator: NumPy
 with `plain` gives functions of arrays, the kernel language with its `func` gives functions that are inlined into
-kernels.
-Both take the same numbers to the same bits. To add a law: a file beside this one, a line in the table LAWS, its keys.
+kernels. Both take the same numbers to the same bits. To add a law: a file beside this one, a line in the table LAWS,
+its keys.
 
 Strains e_i = E_i + shift: Green-Lagrange from the pressurised state, shifted by the prestrain; `shift` itself is
 handed over for laws that ask for the stretch. c: the law's coefficients.
@@ -42,8 +42,7 @@ class Law:
 
     name; size: number of coefficients; text(math, func): its Functions; coefficients(*constants): those of the text
     from the constants that a scene gives; prestrain(stress, *constants): the shift [1] at which both principal stresses
-    are
-    `stress` [Pa] at E = 0, the condition that the wall carries the pressure of the eye at rest.
+    are `stress` [Pa] at E = 0, the condition that the wall carries the pressure of the eye at rest.
     """
 
     name: str

@@ -2,8 +2,7 @@
 
 Two eyes, each filmed with noise and then harmed: one frame in ten dropped (times from the stamps), every frame a JPEG
 of quality 40, the picture turned by +5 or -5 degrees, a bright block pattern in the lower left corner, the axis 30 px
-off
-the middle; and all of it at once, with 2 degrees. The turn is one of the true shape, about the middle of the frame.
+off the middle; and all of it at once, with 2 degrees. The turn is one of the true shape, about the middle of the frame.
 """
 
 from __future__ import annotations

@@ -2,18 +2,14 @@
 
 Levels and widths are read off the mean of 60 frames with noise, as they would be off a recording, along the column of
 the axis unless said otherwise; 10 % or 2 grey levels are allowed, 1 px for widths. Heights of edges: half of the way
-from air to
-the anterior line, and half of the posterior fall.
+from air to the anterior line, and half of the posterior fall.
 
 Apparent thickness. Behind a surface of radius 7.8 mm a camera at 45 degrees sees 0.627 of a thickness (n 1.376), and a
 pixel is 16.5 um high: 0.55 mm are 20.9 px, from half-rise to half-fall. The instrument's public frames show 19 to 20
-px: eyes
-of 0.50 to 0.53 mm at that ratio (0.513 mm: 19.5 px), or 0.55 mm at a ratio of 0.57 to 0.60. For 0.55 mm the two do not
-go
-together; the ratio is kept, being geometry, and 19 to 20 px is asked of an eye of 0.513 mm. No usual reading of the
-same profile closes the gap: from the line's maximum to half the fall, and the band's width at half the line's maximum,
-are
-17 to 18 px.
+px: eyes of 0.50 to 0.53 mm at that ratio (0.513 mm: 19.5 px), or 0.55 mm at a ratio of 0.57 to 0.60. For 0.55 mm the
+two do not go together; the ratio is kept, being geometry, and 19 to 20 px is asked of an eye of 0.513 mm. No usual
+reading of the same profile closes the gap: from the line's maximum to half the fall, and the band's width at half the
+line's maximum, are 17 to 18 px.
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@ motion on a boundary that is not there any more.
 Growth is measured by twins: two runs of one scene, one with noise of 1e-6 of the puff's pressure on its nodes at a time
 of the puff and again every 3 ms. The energy norm sqrt(sum V (p^2 / (rho c^2) + rho u^2)) of their difference is
 followed, and the rate from 1 ms after the noise, when the dissipation has taken what it takes at once, to the next is
-the growth
-rate there. What is left then are smooth modes, which trade energy with the cornea: +-0.002 c/h is the resolution.
+the growth rate there. What is left then are smooth modes, which trade energy with the cornea: +-0.002 c/h is the
+resolution.
 """
 
 import numpy as np

@@ -2,10 +2,8 @@
 
 The chamber gives way by dV/V = p / (rho c^2), so peak and half-height times approach their incompressible values as
 c^-2; the number of steps, and the run time, grow as c. The incompressible peak of the default eye is 0.959 mm, with
-half
-heights at 9.40 and 20.66 ms, and 0.97 / 1.06 / 1.28 / 1.55 / 1.88 mm are the peaks at c = 30 / 10 / 5 / 3 / 2 m/s, by
-an
-independent solution with potential flow (0.956 mm with a uniform chamber pressure).
+half heights at 9.40 and 20.66 ms, and 0.97 / 1.06 / 1.28 / 1.55 / 1.88 mm are the peaks at c = 30 / 10 / 5 / 3 / 2 m/s,
+by an independent solution with potential flow (0.956 mm with a uniform chamber pressure).
 """
 
 import numpy as np

@@ -2,9 +2,8 @@
 
 `taichi_eye.proof.spectrum` takes one small step of the solver about rest as a matrix, column by column through the
 actual kernels; its eigenvalues over that step are the semi-discrete spectrum. Theory: plain collocation between walls
-is
-unstable whatever the time step; a fourth-difference dissipation of p and u lifts that where the cloud has no gaps. 1e-4
-c/h is what a puff of 32 ms does not notice.
+is unstable whatever the time step; a fourth-difference dissipation of p and u lifts that where the cloud has no gaps.
+1e-4 c/h is what a puff of 32 ms does not notice.
 """
 
 import numpy as np

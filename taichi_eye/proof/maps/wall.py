@@ -4,8 +4,7 @@ guard speaks in time.
 Quasi-static theory: with prestrain eps0 the wall stays taut through an isometric inversion, so a slow puff slackens it
 nowhere. Inertia does: a wall that a fast puff throws at v meets the strain v / c_w of a one-dimensional wave of speed
 c_w (the in-plane wave at rest), and it goes slack where that outgrows eps0 by a factor that is read off the runs: the
-apex
-moves across the wall, and only a share of its speed runs along it.
+apex moves across the wall, and only a share of its speed runs along it.
 """
 
 import numpy as np
