@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from taichi_eye.eye.laws import LAWS, Law
+from taichi_eye.eye.laws import Law, law_of
 from taichi_eye.eye.puff import Puff, read_puff
 from taichi_eye.eye.retreat import Retreat
 from taichi_eye.eye.section import Section
@@ -194,12 +194,13 @@ def eye_of(scene: Scene) -> Eye:
         chamber.lens_radius_mm * MM,
         chamber.lens_height_mm * MM,
     )
+    law, constants = law_of(wall)
     return Eye(
         section=section,
         iop=scene.eye.iop_mmhg * MMHG,
         cornea=Cornea(
-            law=LAWS["exponential"],
-            constants=(wall.stiffness_a_pa, wall.exponent_k, wall.poisson_ratio),
+            law=law,
+            constants=constants,
             poisson_ratio=wall.poisson_ratio,
             thickness=wall.thickness_mm * MM,
             rim_thickness=wall.limbus_thickness_mm * MM,
