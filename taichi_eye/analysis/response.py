@@ -14,8 +14,9 @@ HC               the largest apex deformation. Radius: one over the concave curv
                  is the one that the norms of the HC radius are held against: the instrument shows about 8 mm beside a
                  largest inverse radius of .17 per mm (5.9 mm), so its HC radius is no central fit.
 DA ratio         apex deformation over the mean deformation at +-1 or +-2 mm; the largest value from A1 to HC.
-inverse radius   concave curvature (of the same central 2 mm, over +-0.7 ms): its largest value, and its sum over the
-                 camera's frames from A1 to A2.
+inverse radius   concave curvature (of the circle fitted to the central 4 mm, over +-0.7 ms): its largest value, and its
+                 sum over the camera's frames from A1 to A2. The instrument's zone is not public: in this one, of those
+                 that `taichi-eye clinic` tries, a dent that shows the norms' other parameters shows their sum too.
 deflection area  between the curve at rest and the deflected one, central 7 mm; delta arc length: change in length of
                  the curve over the same zone.
 IOPnct, bIOP     what the instrument would show: the first from the A1 time alone, the second from it, the thickness
@@ -37,6 +38,7 @@ from taichi_eye.eye.puff import CORVIS_FALL, CORVIS_PEAK_S, CORVIS_RISE
 APEX_MM = 0.10  # half width of the mean that is the apex
 SIDE_MM = 3.6, 4.0  # where whole-eye movement is read
 CURVATURE_MM = 1.0  # half width of the circle
+INVERSE_MM = 2.0  # and of that of the inverse radius
 RATIO_MM = 0.10  # half width of the mean at +-1 and +-2 mm
 ZONE_MM = 3.5  # half width of area and arc length
 FLAT_MM, FLAT_REACH_MM = 0.010, 2.0
@@ -95,7 +97,7 @@ READ_AS = {
     "hc_radius_mm": f"circle over the central +-{CURVATURE_MM:g} mm at highest concavity",
     "hc_circle_radius_mm": "circle through both bending peaks and the apex at highest concavity",
     "da_ratio_2mm": f"apex deformation over its mean at +-2 mm (+-{RATIO_MM:g} mm), largest from A1 to HC",
-    "integrated_inverse_radius_per_mm": f"concave curvature of the central +-{CURVATURE_MM:g} mm, "
+    "integrated_inverse_radius_per_mm": f"concave curvature of the central +-{INVERSE_MM:g} mm, "
     f"over +-{SHAPE_MS:g} ms, summed over the frames from A1 to A2",
     "sp_a1_mmhg_mm": "(air pressure at A1 less bIOP) over the deflection at A1",
     "central_thickness_um": "of the eye at rest",
@@ -159,12 +161,14 @@ def respond(
     puff_mmhg=measured_puff_mmhg,
     age_years: float | None = None,
     curvature_mm: float = CURVATURE_MM,
+    inverse_mm: float = INVERSE_MM,
 ) -> Response:
     """DCR parameters of the curves.
 
     frame_interval_ms: of the camera, for the integrated inverse radius. biop_mmhg: pressure of the eye, and puff_mmhg:
     the air's pressure at the apex [mmHg] at a time [ms], for SP-A1. age_years: of the eye, in place of biop_mmhg:
-    IOPnct and bIOP are then those that the instrument would show. curvature_mm: half width of the curvature's circle.
+    IOPnct and bIOP are then those that the instrument would show. curvature_mm, inverse_mm: half widths of the circles
+    of the curvature and of the inverse radius.
     """
     h = histories(curves, curvature_mm)
     time, x = h.time_ms, h.x_mm
@@ -196,7 +200,8 @@ def respond(
         found[f"da_ratio_{mm}mm"] = _ratio(h, mm, ratio_from, hc)
     if a1 is not None and a2 is not None:
         grid = np.arange(np.ceil((a1 - time[0]) / frame_interval_ms), np.floor((a2 - time[0]) / frame_interval_ms) + 1)
-        inverse = -moving(time, h.curvature_per_mm, time[0] + frame_interval_ms * grid, SHAPE_MS, 1)
+        wide = np.array([circle_curvature(x, one, inverse_mm) for one in h.height_mm])
+        inverse = -moving(time, wide, time[0] + frame_interval_ms * grid, SHAPE_MS, 1)
         found["integrated_inverse_radius_per_mm"] = float(np.clip(inverse, 0.0, None).sum())
         found["max_inverse_radius_per_mm"] = float(inverse.max())
     for name, at in (("a1", a1), ("a2", a2)):

@@ -21,7 +21,7 @@ def _flat(elements: int, radius: float = RADIUS) -> np.ndarray:
 def shear(quick: bool = False):
     """A clamped circular plate that shear alone holds, and the waves in it.
 
-    Under a uniform pressure p it deflects by w = p (a^2 - r^2) / (4 kappa G h) while sin of the slope is the slope
+    Under a uniform pressure p it deflects by w = p (a^2 - r^2) / (4 kappa G h) while tan of the slope is the slope
     (here 1e-4), which the rings meet to rounding. A pure shear wave travels at sqrt(kappa G / rho): 2.99 m/s, read off
     the frequencies f_n = j_0n c / (2 pi a) of the clamped plate.
     """

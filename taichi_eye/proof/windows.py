@@ -56,7 +56,8 @@ def zones(own: SimulatedEye, eyes: Sequence[SimulatedEye]) -> list[ZoneRow]:
     rows = []
     for zone in ZONES_MM:
         kept = {
-            id(eye): eye.observed.read(curvature_mm=zone).response for eye in {id(e): e for e in (own, *eyes)}.values()
+            id(eye): eye.observed.read(curvature_mm=zone, inverse_mm=zone).response
+            for eye in {id(e): e for e in (own, *eyes)}.values()
         }
         read = lambda eye, kept=kept: kept[id(eye)]
         rows.append(

@@ -86,7 +86,7 @@ class Cornea:
     )
     shear_modulus_kpa: float = key(
         0.0,
-        "modulus of shear across the thickness (G), which resists tilting: energy 5/6 G h/2 sin^2 of the tilt from "
+        "modulus of shear across the thickness (G), which resists tilting: energy 5/6 G h/2 tan^2 of the tilt from "
         "rest per area; 0: none",
         unit="kPa",
         at_least=0,

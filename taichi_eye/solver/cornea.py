@@ -24,10 +24,11 @@ W_b = D/2 (dk1^2 + dk2^2) per area, D = E h^3 / (12 (1 - nu^2)). Kirchhoff's mix
 integral depends on the rim alone. The rim is a hinge.
 
 Transverse shear, where the scene asks for it: the sections of the wall do not turn with it (a frozen director), since
-turning them bends, which at the width of a dent is far stiffer than shear. With the shear strain sin(phi - phi0) of an
-element and kappa G its modulus, per area at rest
+turning them bends, which at the width of a dent is far stiffer than shear. Lamellae that keep their length and their
+thickness while what stood across them stays as it was slide over one another by gamma = tan(phi - phi0) per thickness.
+With kappa G the modulus of that simple shear, per area at rest
 
-    W_s = (kappa G h / 2) sin^2(phi - phi0),   and a viscous part of the stress, kappa G delay d sin(phi - phi0)/dt,
+    W_s = (kappa G h / 2) gamma^2,   and a viscous part of the stress, kappa G delay d gamma/dt,
 
 whose work is lost. A step takes the viscous part from the change over the step before, which limits the step
 (`taichi_eye.solver.timestep`). Relaxation leaves shear alone.
@@ -99,7 +100,7 @@ class Cornea:
         self.flexible = ti.field(ti.i32, eyes)
         self.inclination = vector()  # angle of each element, and its change from rest
         self.moment = vector()  # as flexure
-        # of transverse shear: stiffness of each element, its viscous and its whole torque over cos(phi - phi0) [J]
+        # of transverse shear: stiffness of each element, its viscous and its whole derivative by gamma [J]
         self.shear, self.overshear, self.shear_torque = scalar(), scalar(), scalar()
         self.shear_delay = ti.field(fp, eyes)
         self.curvature, self.narrowing = jet.text(ti, ti.func)
@@ -330,13 +331,13 @@ class Cornea:
 
     @ti.func
     def _tilt(self, eye, k, turned, dt):
-        # shear torque of element k from its turn from rest, now and a step ago
-        tilt, before = ti.sin(turned[0]), ti.sin(turned[1])
+        # what shear of element k asks of its gamma, from its turn from rest now and a step ago
+        slide, before = ti.tan(turned[0]), ti.tan(turned[1])
         over = 0.0
         if dt > 0.0:
-            over = self.shear[k] * self.shear_delay[eye] * (tilt - before) / dt
-        self.relaxed_work[eye] += 0.5 * (over + self.overshear[k]) * (tilt - before)
-        self.overshear[k], self.shear_torque[k] = over, self.shear[k] * tilt + over
+            over = self.shear[k] * self.shear_delay[eye] * (slide - before) / dt
+        self.relaxed_work[eye] += 0.5 * (over + self.overshear[k]) * (slide - before)
+        self.overshear[k], self.shear_torque[k] = over, self.shear[k] * slide + over
 
     @ti.func
     def _stretch(self, eye, k, kept, gain):
@@ -362,7 +363,7 @@ class Cornea:
         if self.flexible[eye] != 0:
             # derivative of the energies of bending and shear with respect to the inclination [J]
             torque = self.moment[k][0] + self.moment[k][1] * ti.cos(self.inclination[k][0])
-            torque += self.shear_torque[k] * ti.cos(self.inclination[k][1])
+            torque += self.shear_torque[k] * self.slant(k)
             if k + 1 < self.last[eye]:
                 torque -= self.moment[k + 1][0]
             self.tension[k] += ti.Vector([edge[1], -edge[0]]) * (torque / edge.norm_sqr())
@@ -378,7 +379,7 @@ class Cornea:
                 turned = ti.atan2(-edge[1], edge[0]) - self.rest_angle[k]
                 leant = -edge[1] / edge.norm() - ti.sin(self.rest_angle[k])
                 energy += 0.5 * (self.flexure[k][0] * (turned - before) ** 2 + self.flexure[k][1] * leant**2)
-                energy += 0.5 * self.shear[k] * ti.sin(turned) ** 2
+                energy += 0.5 * self.shear[k] * ti.tan(turned) ** 2
                 before = turned
         return energy
 
@@ -508,14 +509,20 @@ class Cornea:
         density = self.mass[first + 1] / (0.5 * (self.element_volume[first] + self.element_volume[first + 1]))
         stretch_squared = 2.0 * (strain[0] - shift) + 1.0
         # shear turns with 1/stretch, its stiffest wave, at the apex, is a fifth stiffer than that of a strip, and where
-        # tilted it couples both waves by at most half of its modulus
-        tilting = self.shear[k] / (self.element_volume[k] * stretch_squared)
+        # tilted it is stiffer by its tangent, (1 + gamma^2) (1 + 3 gamma^2), and couples both waves by at most half
+        slant = self.slant(k)
+        tilting = self.shear[k] * slant * (3.0 * slant - 2.0) / (self.element_volume[k] * stretch_squared)
         stiffness = sudden * along * stretch_squared + meridional + 0.5 * tilting
         return (
             self.borne_stress(eye, k),
             ti.sqrt(ti.max(stiffness, 0.0) / density),
             ti.sqrt(ti.max(meridional + 1.22 * tilting, 0.0) / density),
         )
+
+    @ti.func
+    def slant(self, k):
+        """1 + gamma^2 = d gamma / d phi of element k, as it was last deformed; 1 where nothing resists out of plane."""
+        return 1.0 / ti.cos(self.inclination[k][1]) ** 2
 
     @ti.func
     def borne_stress(self, eye, k):

@@ -39,6 +39,8 @@ AT_REST = {
     "slackest_element": 0.0,
     "membrane_speed": 0.0,
     "transverse_speed": 0.0,
+    "steepest_slant": 1.0,
+    "slanted_element": 0.0,
     "membrane_step": np.inf,
     "smallest_gap": np.inf,
     "flattest_triangle": 1.0,

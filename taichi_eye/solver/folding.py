@@ -7,12 +7,14 @@ with S' = d/dS along the meridian at rest, R0 the radius at rest and all cos^2, 
     sum h 2 R0 L / 2 [ C_ij dE_i dE_j + C66 gamma^2 + S1 (rho'^2 + tau'^2 + zeta'^2)
                        + S2 ((m rho + tau)^2 + (rho + m tau)^2 + m^2 zeta^2) / R0^2 ]                         membrane
   + D/2 [ k_s^2 + k_phi^2 + 2 nu k_s k_phi + 2 (1 - nu) k_sphi^2 ]  of w, the part along the normal            bending
-  + kappa G h R0 L [ cos(2 d) a_s^2 + cos^2(d) a_m^2 ],  d = phi - phi0                         transverse shear
+  + kappa G h R0 L g [ (3 g - 2) a_s^2 + a_m^2 + 2 t (b_s a_s - b_m a_m) ],                        transverse shear
+                       t = tan(phi - phi0),  g = 1 + t^2
   - p/2 (dx . dN)                                                                                follower pressure
 
     dE_1 = r' rho' + z' zeta',  dE_2 = r (rho + m tau) / R0^2,  gamma = (r tau' - r' (m rho + tau) - m z' zeta) / R0,
     C_ij = dS_i/dE_j,  C66 the tangent of shear in the plane  (of the tissue's law),
     a_s = (n . dx') / |x'|,  a_m = (n_r (m rho + tau) + n_z m zeta) / r   turns of the normal n, along and around,
+    b_s = (x' . dx') / |x'|^2,  b_m = tau' / |x'|                         stretch along and turn in the surface,
     k_s = -w'',  k_phi = m^2 w / r^2 - r' w' / r,  k_sphi = m (w' / r - r' w / r^2).
 
 The state is stable where this form is positive definite for every m from 2 on. The chamber's volume does not change to
@@ -80,14 +82,25 @@ class Folding:
         """
         if not (np.isfinite(place).all() and np.isfinite(pressure).all()):
             return None
-        for m in lobes:
-            try:
-                np.linalg.cholesky(self.form(place, pressure, m))
-            except np.linalg.LinAlgError:
-                return m
+        forms = self.forms(place, pressure, lobes)
+        try:
+            np.linalg.cholesky(forms)
+        except np.linalg.LinAlgError:
+            for m, form in zip(lobes, forms):
+                try:
+                    np.linalg.cholesky(form)
+                except np.linalg.LinAlgError:
+                    return m
         return None
 
-    def form(self, place, pressure, m: int) -> np.ndarray:
+    def forms(self, place, pressure, lobes=LOBES) -> np.ndarray:
+        """`form` for every number of lobes, stacked: of the fourth degree in it, so five of them give all."""
+        nodes = np.linspace(lobes[0], lobes[-1], 5)
+        known = np.stack([self.form(place, pressure, m) for m in nodes])
+        powers = lambda m: (np.asarray(m, dtype=float)[:, None] / lobes[-1]) ** np.arange(5)
+        return np.tensordot(powers(lobes) @ np.linalg.inv(powers(nodes)), known, 1)
+
+    def form(self, place, pressure, m: float) -> np.ndarray:
         """The quadratic form [J/m^2 over pi/2] of the free nodes, (rho, tau, zeta) node by node; symmetric."""
         n = len(self.length)
         whole = np.zeros((3 * (n + 1), 3 * (n + 1)))
@@ -130,15 +143,20 @@ class Folding:
     def _tilting(self, place, m):
         # the normal turns by a_s along the meridian and by a_m around the axis; the sections stay as they were at rest
         rp, zp, r, (rho, tau, zeta) = self._terms(place, m)
-        drho, _, dzeta = self.slope.swapaxes(0, 1)
+        drho, dtau, dzeta = self.slope.swapaxes(0, 1)
         stretch = np.hypot(rp, zp)
         nr, nz = -zp / stretch, rp / stretch
         along = (nr * drho + nz * dzeta) / stretch
         around = (nr * (m * rho + tau) + nz * m * zeta) / r
         edge = np.diff(self.rest, axis=0)
         tilt = np.arctan2(-zp, rp)[:, 0] - np.arctan2(-edge[:, 1], edge[:, 0])
-        weight = 2.0 * self.shear * self.radius * self.length
-        return _sum(weight * np.cos(2.0 * tilt), along, along) + _sum(weight * np.cos(tilt) ** 2, around, around)
+        slant = 1.0 / np.cos(tilt) ** 2
+        weight = 2.0 * self.shear * self.radius * self.length * slant
+        total = _sum(weight * (3.0 * slant - 2.0), along, along) + _sum(weight, around, around)
+        # the second order of the normal's turn, on which the shear at hand works
+        mixed = _sum(weight * np.tan(tilt), (nz * drho - nr * dzeta) / stretch, along)
+        mixed -= _sum(weight * np.tan(tilt), dtau / stretch, around)
+        return total + mixed + mixed.swapaxes(1, 2)
 
     def _follower(self, place, pressure, m):
         # dx . dN, N = x_S x x_phi, symmetrised

@@ -98,11 +98,14 @@ class Survey:
                 flattest, flat = share, self.aqueous.triangle[t, 0]
         least, slackest = ti.math.inf, first
         in_plane, transverse, step = 0.0, 0.0, ti.math.inf
+        slant, slanted = 1.0, first
         for k in range(first, first + walls - 1):
             stress, speed, across = self.cornea.wave_speeds(eye, k)
             if ti.min(stress[0], stress[1]) < least:
                 least, slackest = ti.min(stress[0], stress[1]), k
             in_plane, transverse = ti.max(in_plane, speed), ti.max(transverse, across)
+            if self.cornea.slant(k) > slant:
+                slant, slanted = self.cornea.slant(k), k
             step = ti.min(step, self.cornea.element_length[k] / ti.max(speed, 1e-6))
         room, near, travel = ti.math.inf, first, 0.0
         for i in range(first, first + walls - 1):
@@ -141,6 +144,8 @@ class Survey:
         rows[eye, at.slackest_element] = slackest - first
         rows[eye, at.membrane_speed] = in_plane
         rows[eye, at.transverse_speed] = transverse
+        rows[eye, at.steepest_slant] = slant
+        rows[eye, at.slanted_element] = slanted - first
         rows[eye, at.membrane_step] = step
         rows[eye, at.smallest_gap] = ti.sqrt(gap)
         rows[eye, at.flattest_triangle] = flattest

@@ -10,11 +10,13 @@
     viscous                 g^2 rho / (4 mu)
     membrane, in plane      L / sqrt((B + S1) / rho_s), B the tangent along the meridian: twice the stiffness at twice
                             the stretch, so it shrinks as the cornea dents
-    membrane, transverse    L / sqrt((S1 + 1.22 kappa G) / rho_s), kappa G the modulus of transverse shear
+    membrane, transverse    L / sqrt((S1 + 1.22 kappa G g (3 g - 2)) / rho_s), kappa G the modulus of transverse shear,
+                            g = 1 / cos^2 of the wall's turn from rest
     membrane, bending       0.338 L^2 sqrt(rho_s h_wall / D), D of the thickest part: the stiffest wave, which sits at
                             the apex, where the hoop term is as stiff as the meridian's; a flat strip has 0.5
-    membrane, shear         the t with (t / t_transverse)^2 + b t = 1, b = 2.42 (kappa G / rho_s) delay / L^2: what is
-                            left of the transverse limit by the shear's viscosity, taken from the step before
+    membrane, shear         the t with (t / t_transverse)^2 + b t = 1, b = 2.42 (kappa G / rho_s) delay g^2 / L^2, g
+                            the largest: what is left of the transverse limit by the shear's viscosity, taken from the
+                            step before
     coupling                sqrt(g rho_s h_wall / (rho c^2)): half of where a sweep stops contracting; beyond, light
                             walls are unstable even where the iteration converges
     volume                  sqrt(rho_s h_wall V / (rho A (c_m^2 - c^2))), A the area of the cornea: half of where the
@@ -75,7 +77,7 @@ class StepLimits:
             table[5] = length * length * self._bending
             table[6] = np.sqrt(gap) * self._coupling
             if self._viscous_wall:
-                damping = self._shear / (length * length)
+                damping = self._shear * (figures["steepest_slant"] / length) ** 2
                 limit = 2.0 / (damping + np.sqrt(damping * damping + 4.0 / (table[4] * table[4])))
                 table[8] = np.where(self._shear > 0.0, limit, math.inf)
         return table

@@ -68,8 +68,8 @@ class WallStepper:
         self.progress = ti.field(fp, 1)  # alpha; way: d / d . d [1/m]
         self.rest_volume, self.rest_enclosed, self.compliance, self.density = (ti.field(fp, ()) for _ in range(4))
         self.sealed, self.status, self.steps, self.aged = (ti.field(ti.i32, ()) for _ in range(4))
-        self.rest_energy, self.bending_step, self.shear_damping, self.least_stress = (
-            ti.field(fp, ()) for _ in range(4)
+        self.rest_energy, self.bending_step, self.shear_damping, self.least_stress, self.most_slant = (
+            ti.field(fp, ()) for _ in range(5)
         )
         self.last_dt, self.largest_work = ti.field(fp, 1), ti.field(fp, 1)
         self.snapshot = Snapshot(
@@ -103,16 +103,18 @@ class WallStepper:
         bending_step: float,
         shear_damping: float,
         least_stress: float,
+        most_slant: float,
     ):
         """Take the cornea's present state as rest; back [walls]: z of the rigid back below each node [m]; compliance
         [m^3/Pa] of the liquid and of the globe, and the globe's delay [s] and P0 [Pa]; density of the liquid [kg/m^3];
         bending_step: limit of the step by the plate's stiffest wave per squared element [s/m^2]; shear_damping: rate
-        of the shear's viscosity times a squared element [m^2/s]; least_stress [Pa]: at which an alarm is given."""
+        of the shear's viscosity times a squared element [m^2/s]; least_stress [Pa] and most_slant: at which an alarm is
+        given."""
         self.sealed[None], self.status[None], self.steps[None], self.aged[None] = sealed, RUNNING, 0, 1
         self.compliance[None], self.rest_volume[None], self.density[None] = compliance, volume, density
         self.last_dt[0], self.largest_work[0], self.progress[0] = 0.0, 0.0, 0.0
         self.bending_step[None], self.shear_damping[None] = bending_step, shear_damping
-        self.least_stress[None] = least_stress
+        self.least_stress[None], self.most_slant[None] = least_stress, most_slant
         for i in range(self.cornea.last[0] + 1):
             zero = ti.Vector([0.0, 0.0])
             self.back[i] = back[i]
@@ -156,15 +158,16 @@ class WallStepper:
     def stable_step(self):
         """The step limit [s] of the cornea's waves now: tension, shear and bending stiffen one and the same wave."""
         step = ti.math.inf
-        shortest = ti.math.inf
+        shortest, slant = ti.math.inf, 1.0
         for k in range(self.cornea.last[0]):
+            slant = ti.max(slant, self.cornea.slant(k))
             stress, in_plane, transverse = self.cornea.wave_speeds(0, k)
             length = self.cornea.element_length[k]
             step = ti.min(step, length / ti.max(ti.max(in_plane, transverse), 1e-6))
             shortest = ti.min(shortest, length)
         plate = self.bending_step[None] * shortest * shortest
         stiffness = 1.0 / (step * step) + 1.0 / (plate * plate)
-        damping = self.shear_damping[None] / (shortest * shortest)
+        damping = self.shear_damping[None] * slant * slant / (shortest * shortest)
         return 2.0 / (damping + ti.sqrt(damping * damping + 4.0 * stiffness))
 
     @ti.func
@@ -362,12 +365,14 @@ class WallStepper:
         count = self.cornea.last[0]
         volume = self._volume_at(self.cornea.place)
         least, slackest, bad = ti.math.inf, 0, -1
-        room, near = ti.math.inf, 0
+        room, near, slant, slanted = ti.math.inf, 0, 1.0, 0
         kinetic, swept, work = 0.0, 0.0, self.cornea.puff_work[0]
         for i in range(count):
             stress = self.cornea.borne_stress(0, i)
             if ti.min(stress[0], stress[1]) < least:
                 least, slackest = ti.min(stress[0], stress[1]), i
+            if self.cornea.slant(i) > slant:
+                slant, slanted = self.cornea.slant(i), i
             above = (self.cornea.place[i][1] - self.back[i]) / (self.cornea.rest[i][1] - self.back[i])
             if above < room:
                 room, near = above, i
@@ -398,6 +403,7 @@ class WallStepper:
             or ti.math.isnan(gained)
             or least <= self.least_stress[None]
             or room < guards.CLOSED
+            or slant > self.most_slant[None]
             or gained > guards.ENERGY_SHARE * self.largest_work[0] + guards.ENERGY_FLOOR
         ):
             self.status[None] = ALARM
@@ -413,6 +419,8 @@ class WallStepper:
         record[row, at.tissue_loss] = self.cornea.relaxed_work[0] + self.globe.work[0] - stretched
         record[row, at.least_stress] = least
         record[row, at.slackest_element] = slackest
+        record[row, at.steepest_slant] = slant
+        record[row, at.slanted_element] = slanted
         record[row, at.chamber_gap] = room
         record[row, at.gap_node] = near
         record[row, at.not_finite] = ti.select(bad >= 0, 1.0, 0.0)

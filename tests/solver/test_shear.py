@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from taichi_eye import backend
+from taichi_eye.errors import RunStopped
 from taichi_eye.eye.tissue import flexural_rigidity
 from taichi_eye.ladder.rungs import simulation_of
 from taichi_eye.lang import ONE_TASK, ti
@@ -85,9 +86,9 @@ def test_forces_are_minus_the_slope_of_the_energy(flexural_modulus):
 
 def test_the_energy_of_a_flattened_cap_is_that_of_the_tilt_of_its_sections():
     errors, angle = [], np.arcsin(RIM / RADIUS)
-    # sin^2 of the polar angle over the cap
-    exact = 0.5 * STIFFNESS * 2.0 * np.pi * RADIUS**2 * (2.0 / 3.0 - np.cos(angle) + np.cos(angle) ** 3 / 3.0)
-    for elements in (16, 32):
+    # tan^2 of the polar angle over the cap
+    exact = 0.5 * STIFFNESS * 2.0 * np.pi * RADIUS**2 * (1.0 / np.cos(angle) + np.cos(angle) - 2.0)
+    for elements in (32, 64):
         probe = Probe(elements)
         probe.cornea.place.from_numpy(np.column_stack([probe.nodes[:, 0], np.zeros(elements + 1)]))
         errors.append(abs(probe.shell_energy() / exact - 1.0))
@@ -100,7 +101,7 @@ def test_a_wall_turned_inside_out_stores_what_twice_the_tilt_asks_for():
     probe.cornea.place.from_numpy(flat)
     rest = probe.cornea.rest_angle.to_numpy()[:24]
     area = 2.0 * np.pi * probe.cornea.element_radius.to_numpy()[:24] * probe.cornea.element_length.to_numpy()[:24]
-    assert probe.shell_energy() == pytest.approx(0.5 * STIFFNESS * (area * np.sin(2.0 * rest) ** 2).sum(), rel=1e-12)
+    assert probe.shell_energy() == pytest.approx(0.5 * STIFFNESS * (area * np.tan(2.0 * rest) ** 2).sum(), rel=1e-12)
 
 
 @pytest.mark.parametrize("delay", [0.1e-3, 0.4e-3])
@@ -174,6 +175,7 @@ def test_a_viscous_wall_of_shear_bounds_the_step_by_its_own_rate():
         "membrane_step": 2e-6,
         "membrane_speed": 25.0,
         "transverse_speed": 5.0,
+        "steepest_slant": 1.0,
         "pair_weight": 1e7,
     }
     step = lambda *keys: limits(figures, case_of(load_scene(None, keys)))["membrane shear"]
@@ -182,6 +184,11 @@ def test_a_viscous_wall_of_shear_bounds_the_step_by_its_own_rate():
     # the dashpot alone: w^2 delay t / 2 = 1 with w^2 = 4.842 (kappa G / rho) / L^2
     length = 2e-6 * 25.0
     assert viscous == pytest.approx(2.0 * length**2 / (4.842 * 5.0 / 6.0 * 1e4 / 1050.0 * 0.1), rel=1e-3)
+    # turned by 60 degrees, gamma goes four times as fast and pushes with four times the force
+    figures["steepest_slant"] = 4.0
+    assert step("cornea.shear_modulus_kpa=10", "cornea.shear_viscosity_ms=100") == pytest.approx(
+        viscous / 16.0, rel=1e-3
+    )
     hardly = step("cornea.shear_modulus_kpa=10", "cornea.shear_viscosity_ms=1e-9")
     assert hardly == pytest.approx(length / 5.0, rel=1e-4)
 
@@ -210,3 +217,21 @@ def test_a_wall_of_shear_alone_is_a_shell_judged_by_its_shear():
     both = case_of(load_scene(None, ["cornea.shear_modulus_kpa=12", "cornea.flexural_modulus_mpa=0.2"])).eye
     bent = case_of(load_scene(None, ["cornea.flexural_modulus_mpa=0.2"])).eye
     assert least_stress(both) == pytest.approx(least_stress(bent) - 10e3, rel=1e-12)
+
+
+def test_a_wall_that_turns_over_is_stopped_by_name():
+    keys = (
+        "numerics.fidelity=cavity",
+        "numerics.spacing_mm=0.3",
+        "chamber.sealed=false",
+        "chamber.depth_mm=12",
+        "cornea.shear_modulus_kpa=0.01",
+        "cornea.flexural_modulus_mpa=0.001",
+        "puff.peak_kpa=60",
+    )
+    scene = load_scene(None, keys)
+    simulation = simulation_of(scene)
+    simulation.judges_folding = False
+    with pytest.raises(RunStopped, match="turned by more than 75 degrees"):
+        simulation.run()
+    assert simulation.out_of_validity
