@@ -83,6 +83,9 @@ def parser() -> argparse.ArgumentParser:
         default=[],
         help="override a key of the scene; may be repeated",
     )
+    clinic.add_argument(
+        "--healthy", metavar="SCENE", help="a healthy eye's scene file: this eye beside it, as keratoconus is published"
+    )
     clinic.add_argument("--out", metavar="DIR", help="folder of the page, new or empty (default: under renders/)")
     clinic.add_argument("--json", metavar="FILE", help="the tables as JSON")
     clinic.add_argument("--threads", type=_threads, metavar="N", help="CPU threads (default: all)")
@@ -318,9 +321,11 @@ def _clinic(given) -> int:
     from taichi_eye.scene import load_scene
 
     load_scene(given.scene, given.overrides)
+    if given.healthy:
+        load_scene(given.healthy)
     _refuse_unwritable(given.json)
     backend.init("cpu", "f64", given.threads)
-    dcr.report(given.scene, given.overrides, given.out, given.json, not given.quiet)
+    dcr.report(given.scene, given.overrides, given.out, given.json, not given.quiet, healthy=given.healthy)
     return 0
 
 

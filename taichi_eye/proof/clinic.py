@@ -95,6 +95,14 @@ GROUPS_SD = {
 }
 DONOR_MMHG = 10.0, 30.0
 DONOR_NM_PER_MMHG = 486.0, 585.0
+# means of 60 healthy eyes and of 60 keratoconic ones of 47 patients (Tian 2014, J Ophthalmol 147516)
+KERATOCONUS = {
+    "central_thickness_um": (546.0, 456.0),
+    "a1_time_ms": (7.52, 7.04),
+    "a1_velocity_m_s": (0.15, 0.17),
+    "a2_velocity_m_s": (-0.39, -0.53),
+    "hc_circle_radius_mm": (7.52, 5.59),
+}
 PUFF_SPREAD = 1.4 / 96.4  # standard deviation of the puff's pressure over its mean
 
 

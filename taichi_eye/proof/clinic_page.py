@@ -29,6 +29,7 @@ SOURCES = (
     "Pressures: IOPnct = 16.8 + (A1 time - 7.36)/0.134; bIOP = 19.98 + 0.885 IOPnct - 0.0306 CCT (um) - 0.0438 age, a "
     f"fit to what the instrument showed on the 194 eyes (open data, R2 .98), here at {ELDERLY_AGE_YEARS:g} years.",
     "Donor corneas: PMC7415307. Stiffened donor sclerae: PMC7044755.",
+    "Keratoconus: Tian et al. 2014, J Ophthalmol 147516.",
 )
 
 
@@ -80,6 +81,7 @@ def tables(study: Study) -> dict[str, tuple[list[str], list[list[str]], list[int
         "By bIOP: 194 elderly eyes, computed beside the group means": _groups(study),
         "Donor corneas inflated from 10 to 30 mmHg without a puff, apex rise": _donors(study),
         "A globe 30 % stiffer": _stiffened(study),
+        **({"Keratoconus: this eye beside the healthy one": _diseased(study)} if study.diseased else {}),
         "The same eyes read over other zones": _zones(study),
         "Velocities as differences over +- so many frames": _speeds(study),
         "One switch at a time set back": _switches(study),
@@ -155,6 +157,23 @@ def _stiffened(study: Study):
     ] or [["the globe of this scene does not yield", "", "", "", ""]]
     head = ["parameter", "computed", "with the stiffer globe", "expected", "holds"]
     return head, body, [k for k, row in enumerate(study.stiffened) if not row.holds]
+
+
+def _diseased(study: Study):
+    body = [
+        [
+            SHOWN.get(row.name, "CCT, um"),
+            _cell(row.healthy),
+            _cell(row.ill),
+            f"{row.published_healthy:g}",
+            f"{row.published_ill:g}",
+            "-" if row.share is None else f"{row.share:.2f}",
+            _yes(row.holds),
+        ]
+        for row in study.diseased
+    ]
+    head = ["", "healthy, computed", "this eye", "healthy, published", "keratoconus", "share", "sign holds"]
+    return head, body, [k for k, row in enumerate(study.diseased) if not row.holds]
 
 
 def _zones(study: Study):
@@ -279,6 +298,7 @@ def as_json(study: Study) -> dict:
             "holds": study.donors.holds,
         },
         "stiffened_globe": {row.name: {**asdict(row), "holds": row.holds} for row in study.stiffened},
+        "keratoconus": {row.name: {**asdict(row), "share": row.share, "holds": row.holds} for row in study.diseased},
         "zones": [
             {
                 "half_width_mm": row.zone_mm,

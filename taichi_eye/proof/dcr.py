@@ -126,6 +126,7 @@ class Study:
     line: list[SimulatedEye]
     donors: public.DonorRow
     stiffened: list[public.StiffRow]
+    diseased: list[public.DiseaseRow]
     zones: list[windows.ZoneRow]
     speeds: list[windows.SpeedRow]
     switches: dict[str, Reading]
@@ -171,8 +172,16 @@ def slopes_of(eyes: list[SimulatedEye]) -> list[Slope]:
     return found
 
 
-def study(scene: Scene, name: str = "scene", tell: Callable[[str, int, int], None] = lambda *_: None) -> Study:
-    """Run a scene's eye, its population, its switches and the public tables; tell(label, done, total) at each run."""
+def study(
+    scene: Scene,
+    name: str = "scene",
+    tell: Callable[[str, int, int], None] = lambda *_: None,
+    healthy: Scene | None = None,
+) -> Study:
+    """Run a scene's eye, its population, its switches and the public tables; tell(label, done, total) at each run.
+
+    healthy: another scene that it is set beside, as keratoconic eyes are beside healthy ones.
+    """
     switched, asked = switches_of(scene), crossed(scene)
     own_place = scene.eye.iop_mmhg, 1e3 * scene.cornea.thickness_mm
     total, eyes = len(asked) + len(switched) + 2, []
@@ -187,6 +196,7 @@ def study(scene: Scene, name: str = "scene", tell: Callable[[str, int, int], Non
     tell("public tables", total - 2, total)
     line = public.sweep(scene, [eye for eye in eyes if eye.thickness_um == own.thickness_um])
     donors, stiffened = public.donors(scene), public.stiffened(scene, own)
+    diseased = public.diseased(response_of(healthy), readings["scene"]) if healthy is not None else []
     tell("windows", total - 1, total)
     return Study(
         name,
@@ -198,6 +208,7 @@ def study(scene: Scene, name: str = "scene", tell: Callable[[str, int, int], Non
         line,
         donors,
         stiffened,
+        diseased,
         windows.zones(own, eyes),
         windows.speeds(own),
         readings,
@@ -212,8 +223,9 @@ def report(
     json_file: str | None = None,
     progress: bool = True,
     say=lambda text: print(text, flush=True),
+    healthy: str | None = None,
 ) -> Path:
-    """Study the scene; print the tables, write clinic.html and clinic.png; the page's path.
+    """Study the scene; print the tables, write clinic.html and clinic.png; the page's path. healthy: a scene file.
 
     Raises SceneError before anything is written where the scene is bad or without a puff.
     """
@@ -221,8 +233,10 @@ def report(
     from taichi_eye.proof import clinic_page
 
     scene = load_scene(path, overrides)
-    if scene.puff.peak_kpa == 0.0:
-        raise SceneError(f"{path}: puff.peak_kpa = 0: an eye without a puff has no dynamic response")
+    beside = load_scene(healthy) if healthy else None
+    for file, one in ((path, scene), (healthy, beside)):
+        if one is not None and one.puff.peak_kpa == 0.0:
+            raise SceneError(f"{file}: puff.peak_kpa = 0: an eye without a puff has no dynamic response")
     folder = create_run_folder(out, "clinic")
     with tqdm(unit=" runs", disable=not progress, dynamic_ncols=True, leave=False) as bar:
 
@@ -231,7 +245,7 @@ def report(
             bar.set_description_str(label)
             bar.update(done - bar.n)
 
-        found = study(scene, Path(path).name, tell)
+        found = study(scene, Path(path).name, tell, beside)
     for line in clinic_page.words(found):
         say(line)
     for title, (head, body, _) in clinic_page.tables(found).items():

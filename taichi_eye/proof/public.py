@@ -1,9 +1,11 @@
-"""Three public tables beside the model: living eyes by bIOP, donor corneas inflated without a puff, a stiffened globe.
+"""Public tables beside the model: living eyes by bIOP, donor corneas inflated without a puff, a stiffened globe, and
+keratoconic eyes beside healthy ones.
 
 groups    eyes of the scene at rising pressures, until what the instrument would show covers the groups of 194 living
           eyes; each parameter at the group's bIOP on straight lines between them. Within one standard deviation between
           eyes of a group or not.
 donors    apex rise per mmHg of the scene's cornea, inflated slowly from 10 to 30 mmHg (`taichi_eye.proof.donor`).
+diseased  a keratoconic scene's eye beside a healthy one: each published difference has the right sign.
 stiff     the scene with 30 % less compliance of the globe: DA and PD fall, SP-A1 stays within 5 %.
 """
 
@@ -12,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from taichi_eye.analysis.simulated import response_of
+from taichi_eye.analysis.simulated import Reading, response_of
 from taichi_eye.eye.eye import eye_of
 from taichi_eye.proof import clinic
 from taichi_eye.proof.donor import apex_rise, free_sphere
@@ -81,6 +83,37 @@ class StiffRow:
         if self.name == "sp_a1_mmhg_mm":
             return abs(self.after / self.before - 1.0) <= UNCHANGED
         return self.after < self.before
+
+
+@dataclass(frozen=True)
+class DiseaseRow:
+    """A parameter of a healthy and of a keratoconic eye, computed and published means."""
+
+    name: str
+    healthy: float | None
+    ill: float | None
+    published_healthy: float
+    published_ill: float
+
+    @property
+    def share(self) -> float | None:
+        """The computed difference over the published one; None where an eye does not show the parameter."""
+        if self.healthy is None or self.ill is None:
+            return None
+        return (self.ill - self.healthy) / (self.published_ill - self.published_healthy)
+
+    @property
+    def holds(self) -> bool:
+        """Whether the difference has the published one's sign."""
+        return self.share is not None and self.share > 0.0
+
+
+def diseased(healthy: Reading, ill: Reading) -> list[DiseaseRow]:
+    """Every published parameter of two readings; a run that was stopped shows what it showed before."""
+    return [
+        DiseaseRow(name, getattr(healthy.response, name), getattr(ill.response, name), *means)
+        for name, means in clinic.KERATOCONUS.items()
+    ]
 
 
 def sweep(

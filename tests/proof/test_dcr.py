@@ -144,3 +144,13 @@ def test_a_scene_without_a_puff_is_refused_before_anything_is_written(tmp_path, 
     monkeypatch.chdir(tmp_path)
     assert main(["clinic", str(HEALTHY), "--set", "puff.peak_kpa=0"]) == 2
     assert "puff.peak_kpa" in capsys.readouterr().err and list(tmp_path.iterdir()) == []
+
+
+def test_keratoconus_is_judged_by_the_sign_of_each_published_difference():
+    healthy = dcr.Reading(Response(a1_time_ms=7.5, a1_velocity_m_s=0.14, central_thickness_um=550.0))
+    ill = dcr.Reading(Response(a1_time_ms=7.26, a1_velocity_m_s=0.13, central_thickness_um=460.0))
+    rows = {row.name: row for row in public.diseased(healthy, ill)}
+    assert rows["a1_time_ms"].share == pytest.approx(0.5) and rows["a1_time_ms"].holds
+    assert rows["a1_velocity_m_s"].share == pytest.approx(-0.5) and not rows["a1_velocity_m_s"].holds
+    assert rows["central_thickness_um"].share == pytest.approx(1.0)
+    assert rows["a2_velocity_m_s"].share is None and not rows["a2_velocity_m_s"].holds
