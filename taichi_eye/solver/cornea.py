@@ -102,7 +102,7 @@ class Cornea:
         # of transverse shear: stiffness of each element, its viscous and its whole torque over cos(phi - phi0) [J]
         self.shear, self.overshear, self.shear_torque = scalar(), scalar(), scalar()
         self.shear_delay = ti.field(fp, eyes)
-        self.curvature, self.narrowing = jet.text(ti, ti.func)
+        self.curvature, self.narrowing, self.mean_over_ring = jet.text(ti, ti.func)
         self.load_rate, self.dent_feedback = ti.field(fp, eyes), ti.field(fp, eyes)
         self.chord, self.chord_share = ti.field(ti.i32, eyes), ti.field(fp, eyes)
         self.stress, self.strain = vector(), vector()
@@ -136,7 +136,7 @@ class Cornea:
             coefficients=tissue.coefficients,
             prestrain=eye.prestrain(middle),
             iop=eye.iop,
-            load_shape=eye.puff.radial(nodes[:, 0], 1.0 / eye.section.radius),
+            load_shape=eye.puff.on_rings(nodes[:, 0], 1.0 / eye.section.radius),
             load_rate=eye.puff.radial_rate,
             dent_feedback=eye.puff.dent_feedback,
             rigidity=eye.rigidity(thickness),
@@ -172,7 +172,7 @@ class Cornea:
         """Place the membrane of one eye at rest, its nodes from `first` on.
 
         nodes [n, 2] (m), apex first; thickness (m); density (kg/m^3); coefficients of the tissue law; prestrain eps0;
-        iop (Pa); load_shape [n]: the puff's pressure at each node relative to its pressure on the axis, at rest;
+        iop (Pa); load_shape [n]: the puff's pressure on each ring relative to its pressure on the axis, at rest;
         load_rate (1/m^2) and dent_feedback: of the puff that feels the dent (`taichi_eye.eye.jet`); rigidity: D (N m)
         and shear_stiffness: kappa G h (N/m), both 0 for a membrane; shear_delay (s): viscosity of the shear over its
         modulus; overstress_share g and relaxation_time tau (s). Thickness, eps0, D and the shear stiffness may be one
@@ -393,8 +393,14 @@ class Cornea:
                 kappa += ti.abs(1.0 - end - share) * self.curvature(self.place[first][1], at[0], at[1])
             narrow = self.narrowing(self.dent_feedback[eye], kappa)
             rate = self.load_rate[eye] * narrow * narrow
-            for i in range(first, self.last[eye] + 1):
-                self.load_shape[i] = ti.exp(-rate * self.rest[i][0] ** 2)
+            last = self.last[eye]
+            for i in range(first, last + 1):
+                inner, outer = self.rest[i][0], self.rest[i][0]
+                if i > first:
+                    inner = 0.5 * (inner + self.rest[i - 1][0])
+                if i < last:
+                    outer = 0.5 * (outer + self.rest[i + 1][0])
+                self.load_shape[i] = self.mean_over_ring(rate, inner, outer)
 
     @ti.func
     def elastic_force(self, eye, i):
