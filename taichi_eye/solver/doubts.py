@@ -63,8 +63,8 @@ def _compression(case, traces) -> str:
     share = sunk_mm / peak_mm
     return (
         f"the liquid gave way by {given_way / MM**3:.2g} mm^3, which lowers the apex by some {1e3 * sunk_mm:.2g} um "
-        f"of its {1e3 * peak_mm:.3g} um: raise numerics.mean_sound_speed_m_s (now {scheme.mean_sound_speed:.3g}) to "
-        f"{scheme.mean_sound_speed * np.sqrt(share / AIMED):.2g}, or numerics.sound_speed_m_s"
+        f"of its {1e3 * peak_mm:.3g} um: raise numerics.mean_sound_speed_m_s (now {scheme.mean_sound_speed:.4g}) to "
+        f"{scheme.mean_sound_speed * np.sqrt(share / AIMED):.4g}, or numerics.sound_speed_m_s"
     )
 
 

@@ -389,8 +389,9 @@ class WallStepper:
             if above < room:
                 room, near = above, i
             v = self.cornea.velocity[i] + half * self.cornea.acceleration[i]
-            kinetic += 0.5 * self.cornea.mass[i] * v.norm_sqr()
-            work += 0.5 * self.cornea.force_air[i].dot(self.moved[i])
+            kinetic += self.cornea.kinetic_at(i, v, half)
+            # the work of the last step with the force at its start, which is also what the velocity goes on with
+            work += self.cornea.force_air[i].dot(self.moved[i])
             sum = self.cornea.place[i].sum() + v.sum()
             if bad < 0 and (ti.math.isnan(sum) or ti.math.isinf(sum)):
                 bad = i
