@@ -68,6 +68,7 @@ def run(
         choice = choose(scene) if scene.numerics.fidelity == "auto" else None
         ready, about = None, None
         if choice is not None:
+            bar.decided(choice)
             # a pilot that was chosen has run already and is only filmed
             scene, ready, about = choice.scene, choice.simulation, choice.as_dict()
         cloud = cloud_of(scene) if needs_cloud(scene) else None

@@ -27,9 +27,13 @@ CHORD = 0.5 * NOZZLE  # reference radius at which the wall's curvature is read
 WIDEST = math.sqrt(2.0)  # width over that on a flat wall, all momentum thrown back
 
 
+THIN = 1e-3  # exponent across a ring below which a series gives its mean, right to 1e-13
+
+
 def text(math, func):
     """Functions of numbers: the curvature [1/m] of a circle through the axis at height z0 [m] and through (r, z), its
-    tangent level on the axis; and what a curvature makes of 1/w, over that on a flat wall, with the feedback c."""
+    tangent level on the axis; what a curvature makes of 1/w, over that on a flat wall, with the feedback c; and the
+    mean of exp(-rate r^2) over the ring between two radii."""
 
     @func
     def curvature(z0, r, z):
@@ -40,14 +44,28 @@ def text(math, func):
     def narrowing(c, kappa):
         return math.max(1.0 + c * NOZZLE * kappa, 1.0 / WIDEST)
 
-    return curvature, narrowing
+    @func
+    def mean_over_ring(rate, inner, outer):
+        # (1 - e^-x) / x of the exponent x across the ring, by its series where the difference would cancel
+        x = rate * (outer * outer - inner * inner)
+        y = math.max(x, THIN)
+        mean = (1.0 - math.exp(-y)) / y + (y - x) / 2.0 - (y * y - x * x) / 6.0 + (y * y * y - x * x * x) / 24.0
+        return math.exp(-rate * inner * inner) * mean
+
+    return curvature, narrowing, mean_over_ring
 
 
 class _Arrays:
-    max = np.maximum
+    max, exp = np.maximum, np.exp
 
 
-curvature, narrowing = text(_Arrays, plain)
+curvature, narrowing, mean_over_ring = text(_Arrays, plain)
+
+
+def ring_edges(r: np.ndarray) -> np.ndarray:
+    """Radii [n + 1] (m) between the rings of nodes at r [n], half an element to either side; the last ends at the
+    rim."""
+    return np.concatenate([r[:1], 0.5 * (r[1:] + r[:-1]), r[-1:]])
 
 
 def chord_at(r: np.ndarray) -> tuple[int, float]:

@@ -1,17 +1,18 @@
 """Live, off-screen film: solver fields to 8-bit images in Taichi kernels, images to a film while the run
 goes on."""
 
-from dataclasses import replace
-
 import numpy as np
 
-from taichi_eye.eye.eye import eye_of
+from taichi_eye.solver.workspace import capacity
 
 from .encoder import EncoderError, FilmWriter, ffmpeg, frame_name, shrunk, write_gif
-from .particles import Particles
-from .scheimpflug import Scheimpflug
+from .particles import SMALLEST as SMALLEST_SECTION
+from .particles import Particles, section_size
+from .scheimpflug import SMALLEST as SMALLEST_FRAME
+from .scheimpflug import Scheimpflug, frame_size
 from .state import FrameState
-from .surface import Surface
+from .surface import SMALLEST as SMALLEST_TABLE
+from .surface import Surface, table_size
 
 __all__ = [
     "EncoderError",
@@ -28,6 +29,10 @@ __all__ = [
 ]
 
 
+def _stamped_below(scene) -> bool:
+    return scene.camera.stamp and scene.camera.view == "particles"
+
+
 class FilmView:
     """The view that scene.camera.view asks for: "scheimpflug", "particles" or "both" in one frame.
 
@@ -37,27 +42,31 @@ class FilmView:
     """
 
     def __init__(self, scene):
-        self.scene = scene
-        self.kind = scene.camera.view
         self.surface = Surface(scene)
         self.scheimpflug = Scheimpflug(scene, self.surface)
-        self.slit: np.ndarray | None = None
         self.particles = None
-        if self.kind != "scheimpflug":
-            stamped = scene.camera.stamp and self.kind == "particles"
-            self.particles = Particles(scene, self.surface, stamped)
+        if scene.camera.view != "scheimpflug":
+            self.particles = Particles(scene, self.surface, _stamped_below(scene))
+        self._take(scene)
 
     @staticmethod
-    def built_in(scene) -> tuple:
-        """What the kernels of a view have built in: it can show other scenes that have the same."""
-        return replace(scene.camera, seed=0, frame_count=1, frame_interval_ms=1.0), eye_of(scene).section
+    def capacities(scene) -> tuple:
+        """What the fields of a view are made for: it can show other scenes that have the same."""
+        sizes = (table_size(scene), SMALLEST_TABLE), (frame_size(scene), SMALLEST_FRAME)
+        if scene.camera.view != "scheimpflug":
+            sizes += ((section_size(scene), SMALLEST_SECTION),)
+        return tuple(capacity(*size) for size in sizes)
 
     def setup(self, scene) -> None:
-        """Show another scene, `built_in` as the first."""
-        self.scene, self.slit = scene, None
-        for part in (self.surface, self.scheimpflug, self.particles):
-            if part is not None:
-                part.setup(scene)
+        """Show another scene of the same `capacities`."""
+        self.surface.setup(scene)
+        self.scheimpflug.setup(scene)
+        if self.particles is not None:
+            self.particles.setup(scene, _stamped_below(scene))
+        self._take(scene)
+
+    def _take(self, scene) -> None:
+        self.scene, self.kind, self.slit = scene, scene.camera.view, None
 
     @property
     def shape(self) -> tuple[int, ...]:

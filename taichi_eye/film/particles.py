@@ -21,6 +21,7 @@ from PIL import Image, ImageDraw
 from taichi_eye.backend import real
 from taichi_eye.eye.eye import eye_of
 from taichi_eye.lang import ti
+from taichi_eye.solver.workspace import capacity
 from taichi_eye.units import KPA, MM, MMHG, MS
 
 from .glyphs import GlyphAtlas, font, stamp
@@ -41,6 +42,11 @@ SHADE_BITS = 8  # of the nearest-node word; the distance takes the other 24
 DISTANCES = 1 << (32 - SHADE_BITS)
 COVER_BITS = 12  # of the distance, that tell what a disc covers
 COVERS = 1 << COVER_BITS
+SMALLEST = 1 << 17  # pixels of half a section: smaller ones share one set of kernels
+LONGEST = 4096  # rows and columns
+# of `Particles.numbers`; whole ones: of `Particles.places`
+PX_PER_M, LIMBUS_ROW, LINE, CURVE, BY_SPEED = range(5)
+HEIGHT, HALF, AXIS, RIM, LEFT, TOP, RIGHT, BOTTOM = range(8)
 
 
 @dataclass(frozen=True)
@@ -79,41 +85,35 @@ class Particles:
     """Renders frames of shape [height, width, 3], uint8, twice as wide as the Scheimpflug view.
 
     One `Surface` may be shared with another view, which then need not be updated twice for the same frame.
-    `stamped` writes the time into the upper left corner.
+    `stamped` writes the time into the upper left corner. capacity: pixels of half a section that the fields hold; any
+    scene whose `section_size` fits may be set up in them.
     """
 
     def __init__(self, scene, surface: Surface | None = None, stamped: bool = True):
         self.surface = Surface(scene) if surface is None else surface
-        self.layout = at = Layout.of(scene)
-        self.height, self.width = at.height, at.width
-        self.by_speed = scene.camera.colour_by == "speed"
-        self.px_per_m = at.scale / MM
-        self.axis, self.half, self.limbus_row = at.axis, at.half, at.limbus_row
-        self.rim = round(scene.cornea.limbus_radius_mm * at.scale)
-        self.line = 1.7 * at.unit
-        self.curve = 1.1 * at.unit
-        self.marker = 4.4 * at.unit
-        self.left, self.top, self.right, self.bottom = at.plot
-        self.radii = np.arange(self.surface.count) * self.surface.spacing
-
-        # by columns from the axis outwards, then rows
-        self.nearest = ti.field(ti.u32, (self.half, self.height))
-        self.wall = ti.field(ti.u8, (self.half, self.height))
-        self.floor = ti.field(ti.i32, self.half)
-        self.column = ti.Vector.field(3, real(), self.half)  # row of the cornea, its tilt, the load there
-        self.rows = ti.Vector.field(2, ti.i32, self.half)  # that may show liquid: the first, and after the last
+        self.capacity = held = capacity(section_size(scene), SMALLEST)
+        # by columns from the axis outwards, then rows, in one row
+        self.nearest, self.wall = ti.field(ti.u32, held), ti.field(ti.u8, held)
+        self.floor = ti.field(ti.i32, LONGEST)
+        self.column = ti.Vector.field(3, real(), LONGEST)  # row of the cornea, its tilt, the load there
+        self.rows = ti.Vector.field(2, ti.i32, LONGEST)  # that may show liquid: the first, and after the last
         self.colours = ti.Vector.field(3, ti.f32, 256)
         self.cover = ti.field(ti.f32, COVERS)  # of a disc, by the distance in a nearest-node word
-        self.glow = ti.field(ti.f32, self.height + 2)  # of the jet, by rows over the cornea
-        self.out, self.over = Strips(self.half), Strips(self.right - self.left + 1)
+        self.glow = ti.field(ti.f32, LONGEST)  # of the jet, by rows over the cornea
+        self.numbers, self.places = ti.field(real(), BY_SPEED + 1), ti.field(ti.i32, BOTTOM + 1)
+        self.out, self.over = Strips(LONGEST), Strips(LONGEST)
+        self.setup(scene, stamped)
+
+    def setup(self, scene, stamped: bool) -> None:
+        """Take camera, colours, node size, load, axes and shape of the eye from another scene that fits; a shared
+        surface is set up by itself."""
+        self.stamped, self.layout = stamped, Layout.of(scene)
+        at = self.layout
+        self.left, self.top, self.right, self.bottom = at.plot
+        self.marker = 4.4 * at.unit
+        self.radii = np.arange(self.surface.count) * self.surface.spacing
         self.big = GlyphAtlas(max(8, round(21 * at.unit)))
         self.small = GlyphAtlas(max(7, round(13 * at.unit)), bold=True)
-        self.stamped = stamped
-        self.setup(scene)
-
-    def setup(self, scene) -> None:
-        """Take colours, node size, load and axes from another scene, of the same camera and shape of the eye."""
-        at = self.layout
         self.limits, self.ranges, self.peak_kpa = colour_limits(scene), plot_ranges(scene), peak_load_kpa(scene)
         self.puff_profile = eye_of(scene).puff.radial(self.radii)
         spacing_px = scene.numerics.spacing_mm * at.scale
@@ -125,14 +125,35 @@ class Particles:
         self.still = (ground + wall[..., None] / 255.0 * (np.array(WALL) - ground) + 0.5).astype(np.uint8)
         distance = np.sqrt((np.arange(COVERS) + 0.5) * (DISTANCES / COVERS / self.distance_steps))
         section = np.ascontiguousarray(wall[:, at.axis : at.axis + at.half].T)
+        numbers = {
+            PX_PER_M: at.scale / MM,
+            LIMBUS_ROW: at.limbus_row,
+            LINE: 1.7 * at.unit,
+            CURVE: 1.1 * at.unit,
+            BY_SPEED: scene.camera.colour_by == "speed",
+        }
+        rim = round(scene.cornea.limbus_radius_mm * at.scale)
+        places = np.array([at.height, at.half, at.axis, rim, *at.plot], dtype=np.int32)
         self._load(
             colour_table(scene),
             np.clip(disc + 0.5 - distance, 0.0, 1.0),
             # an even beam, brighter where it stops on the cornea
-            0.46 + 0.30 * np.exp(-np.arange(self.height + 2) / (0.25 * at.scale)),
+            0.46 + 0.30 * np.exp(-np.arange(at.height + 2) / (0.25 * at.scale)),
             section,
             floor_rows(section),
+            np.array([numbers[k] for k in range(len(numbers))], dtype=float),
+            places,
         )
+
+    @property
+    def height(self) -> int:
+        """Rows of a frame."""
+        return self.layout.height
+
+    @property
+    def width(self) -> int:
+        """Columns of a frame."""
+        return self.layout.width
 
     def render(self, state: FrameState, fresh: bool = True, out: np.ndarray | None = None) -> np.ndarray:
         """The frame at `state`, in `out` (contiguous) where that is given; `fresh` says that the surface tables have
@@ -216,20 +237,27 @@ class Particles:
         glow: ti.types.ndarray(),
         wall: ti.types.ndarray(),
         floor: ti.types.ndarray(),
+        numbers: ti.types.ndarray(),
+        places: ti.types.ndarray(),
     ):
         # as few loops as may be: each costs compile time
-        for k in range(ti.static(max(COVERS, self.height + 2, self.half))):
+        half, height = wall.shape[0], wall.shape[1]
+        for k in range(half * height + COVERS):
             if k < 256:
                 self.colours[k] = ti.Vector([colours[k, 0], colours[k, 1], colours[k, 2]])
             if k < COVERS:
                 self.cover[k] = cover[k]
-            if k < self.height + 2:
+            if k < glow.shape[0]:
                 self.glow[k] = glow[k]
-            if k < self.half:
+            if k < half:
                 self.floor[k] = floor[k]
-        for j, i in self.wall:
-            self.wall[j, i] = wall[j, i]
-            self.nearest[j, i] = ti.u32(EMPTY)
+            if k < numbers.shape[0]:
+                self.numbers[k] = numbers[k]
+            if k < places.shape[0]:
+                self.places[k] = places[k]
+            if k < half * height:
+                self.wall[k] = wall[k // height, k % height]
+                self.nearest[k] = ti.u32(EMPTY)
 
     @ti.kernel
     def _draw(
@@ -250,7 +278,7 @@ class Particles:
     ):
         for turn in range(self.out.turns):
             if self.out.draws(turn):
-                first, after = self.out.first(turn), self.out.after(turn)
+                first, after = self.out.first(turn, self.places[HALF]), self.out.after(turn, self.places[HALF])
                 for j in range(first, after):
                     self.set_column(j, profile, puff)
                 self.find(nodes, node_count, pressure, velocity, low, span, reach, distance_steps, first, after)
@@ -258,7 +286,8 @@ class Particles:
                     self.draw_section(image, j)
         for turn in range(self.over.turns):
             if self.over.draws(turn):
-                for k in range(self.over.first(turn), ti.min(self.over.after(turn), now + 1)):
+                columns = self.places[RIGHT] - self.places[LEFT] + 1
+                for k in range(self.over.first(turn, columns), ti.min(self.over.after(turn, columns), now + 1)):
                     self.draw_curves(image, curves, k, now)
 
     @ti.func
@@ -277,14 +306,16 @@ class Particles:
     ):
         """Write the nearest-node words of these columns, all empty before: nodes as far as `reach` px, their colours
         over low and span, distances squared in `distance_steps`."""
+        px_per_m, limbus_row, height = self.numbers[PX_PER_M], self.numbers[LIMBUS_ROW], self.places[HEIGHT]
+        by_speed = self.numbers[BY_SPEED]
         for n in range(node_count):
-            column = nodes[n][0] * self.px_per_m
+            column = nodes[n][0] * px_per_m
             left = ti.max(ti.cast(ti.ceil(column - reach - 0.5), ti.i32), first)
             right = ti.min(ti.cast(ti.floor(column + reach - 0.5), ti.i32) + 1, after)
             if left < right:
-                row = self.limbus_row - nodes[n][1] * self.px_per_m
+                row = limbus_row - nodes[n][1] * px_per_m
                 value = 0.0 * row
-                if ti.static(self.by_speed):
+                if by_speed > 0.0:
                     value = velocity[n].norm()
                 else:
                     value = pressure[n]
@@ -298,14 +329,14 @@ class Particles:
                     for i in range(top, bottom):
                         far = aside + (i + 0.5 - row) ** 2
                         word = (ti.cast(far * distance_steps, ti.u32) << SHADE_BITS) | shade
-                        self.nearest[j, i] = ti.min(self.nearest[j, i], word)
+                        self.nearest[j * height + i] = ti.min(self.nearest[j * height + i], word)
 
     @ti.func
     def set_column(self, j, profile: ti.template(), puff):
         """What the j-th column from the axis shows where."""
-        r = (j + 0.5) / self.px_per_m
+        r = (j + 0.5) / self.numbers[PX_PER_M]
         slope = self.surface.at(self.surface.slope, r)
-        row = self.limbus_row - self.surface.at(self.surface.height, r) * self.px_per_m - 0.5
+        row = self.numbers[LIMBUS_ROW] - self.surface.at(self.surface.height, r) * self.numbers[PX_PER_M] - 0.5
         tilt = 1.0 / ti.sqrt(1.0 + slope * slope)
         self.column[j] = ti.Vector([row, tilt, ti.max(puff * self.surface.at(profile, r), 0.0)])
         self.rows[j] = ti.Vector([self.row_from(row), self.floor[j]])
@@ -315,9 +346,10 @@ class Particles:
         """The j-th column from the axis and its mirror image, where jet, liquid or membrane show; empties its words."""
         row, tilt, load = self.column[j]
         surface, floor = self.rows[j]
+        height, axis = self.places[HEIGHT], self.places[AXIS]
         line = 0.0
-        if j < self.rim:
-            line = self.line + 0.5
+        if j < self.places[RIM]:
+            line = self.numbers[LINE] + 0.5
         begin = self.row_from(row - line / tilt)
         end = ti.max(self.row_from(row + line / tilt), floor)
         if load > 1e-3:
@@ -327,17 +359,17 @@ class Particles:
             depth = i - row
             membrane = ti.math.clamp(line - abs(depth) * tilt, 0.0, 1.0)
             colour = 1.0 * ti.Vector(BACKGROUND)
-            wall = self.wall[j, i]
+            wall = self.wall[j * height + i]
             shown = membrane > 0.0
             if i < surface:
-                over = ti.min(-depth, self.height)
+                over = ti.min(-depth, height)
                 k = ti.cast(over, ti.i32)
                 glow = self.glow[k] + (over - k) * (self.glow[k + 1] - self.glow[k])
                 colour = blend(colour, ti.Vector(JET), load * glow)
                 shown = True
-            elif self.nearest[j, i] != ti.u32(EMPTY):
-                word = self.nearest[j, i]
-                self.nearest[j, i] = ti.u32(EMPTY)
+            elif self.nearest[j * height + i] != ti.u32(EMPTY):
+                word = self.nearest[j * height + i]
+                self.nearest[j * height + i] = ti.u32(EMPTY)
                 tint = self.colours[ti.cast(word & ti.u32(255), ti.i32)]
                 cover = self.cover[ti.cast(word >> (32 - COVER_BITS), ti.i32)]
                 colour = blend(FILL * tint + ti.Vector(FILL_FLOOR), tint, cover)
@@ -347,13 +379,13 @@ class Particles:
                     colour = blend(colour, ti.Vector(MEMBRANE), membrane)
                 if wall > 0:
                     colour = blend(colour, ti.Vector(WALL), wall / 255.0)
-                put(image, i, self.axis + j, colour)
-                put(image, i, self.axis - 1 - j, colour)
+                put(image, i, axis + j, colour)
+                put(image, i, axis - 1 - j, colour)
 
     @ti.func
     def row_from(self, row):
         """The first row of the image at or below `row`."""
-        return ti.math.clamp(ti.cast(ti.ceil(row), ti.i32), 0, self.height)
+        return ti.math.clamp(ti.cast(ti.ceil(row), ti.i32), 0, self.places[HEIGHT])
 
     @ti.func
     def draw_curves(self, image: ti.template(), curves: ti.template(), k, now):
@@ -363,14 +395,15 @@ class Particles:
         after = ti.min(k + 1, now)
         slope = 0.5 * ti.Vector([curves[after, 0] - curves[before, 0], curves[after, 1] - curves[before, 1]])
         tilt = 1.0 / ti.sqrt(1.0 + slope * slope)
-        half = ti.Vector([1.5 * self.curve + 0.5, self.curve + 0.5])
-        for i in range(ti.max(ti.cast((here - half / tilt).min(), ti.i32), self.top), self.bottom + 1):
+        curve, left = self.numbers[CURVE], self.places[LEFT]
+        half = ti.Vector([1.5 * curve + 0.5, curve + 0.5])
+        for i in range(ti.max(ti.cast((here - half / tilt).min(), ti.i32), self.places[TOP]), self.places[BOTTOM] + 1):
             cover = ti.math.clamp(half - abs(i - here) * tilt, 0.0, 1.0)
-            colour = pixel(image, i, self.left + k)
+            colour = pixel(image, i, left + k)
             if i > here[1]:
                 colour = blend(colour, ti.Vector(JET), 0.10)
             colour = blend(blend(colour, ti.Vector(JET), 0.75 * cover[1]), ti.Vector(TRACE), cover[0])
-            put(image, i, self.left + k, colour)
+            put(image, i, left + k, colour)
 
 
 @ti.func
@@ -390,6 +423,12 @@ def put(image: ti.template(), i, j, colour):
 def blend(under, colour, share):
     """`colour` over `under` with coverage `share`."""
     return under + share * (colour - under)
+
+
+def section_size(scene) -> int:
+    """Pixels of half the section that a scene needs."""
+    at = Layout.of(scene)
+    return at.half * at.height
 
 
 def colour_limits(scene) -> tuple[float, float]:

@@ -20,7 +20,9 @@ from math import erf, exp, sqrt
 
 import numpy as np
 
+from taichi_eye.backend import real
 from taichi_eye.lang import ti
+from taichi_eye.solver.workspace import capacity
 
 from .glyphs import GlyphAtlas, stamp
 from .noise import gaussian_table, hash_u32, noise_key
@@ -49,6 +51,11 @@ SCENERY_REACH_MM, SCENERY_TOP_MM, SCENERY_BOTTOM_MM = 6.5, 1.5, -7.0
 # placed so that at rest the wedges and the haze stand where the instrument's frames show them; z from the limbus plane
 IRIS_RIM_MM, IRIS_PUPIL_MM, IRIS_HEIGHT_MM, IRIS_SLOPE = 4.5, 1.45, 0.22, 0.455
 LENS_POLE_MM, LENS_RADIUS_MM, LENS_SIGMA_MM, LENS_DECAY_MM = -1.35, 10.0, (1.35, 0.48), 1.5
+SMALLEST = 1 << 17  # pixels of a frame: smaller ones share one set of kernels
+WIDEST = 4096  # columns
+# of `Scheimpflug.numbers`; whole ones: of `Scheimpflug.size`
+PIXEL_X, PIXEL_Y, APEX_ROW, APEX_COLUMN, APEX_REST, IRIS, LENS = range(7)
+HEIGHT, WIDTH = range(2)
 IRIS_ABOVE_MM, LENS_ABOVE_MM = 0.4, 0.1  # over the front of the iris, and z: higher up there is neither
 
 
@@ -59,46 +66,55 @@ class Scheimpflug:
     One `Surface` may be shared with another view, which then need not be updated twice for the same frame.
 
     A column is drawn from the top down: air, the cornea with its blur, the chamber, and from the row on where iris or
-    lens show, those. Air and chamber are one level each, so their noise is a table of grey levels.
+    lens show, those. Air and chamber are one level each, so their noise is a table of grey levels. Pixels lie in one
+    row, column after column.
+
+    capacity: pixels of the fields; any scene whose `frame_size` fits may be set up in them.
     """
 
     def __init__(self, scene, surface: Surface | None = None):
-        camera = scene.camera
         self.surface = Surface(scene) if surface is None else surface
-        self.height, self.width = camera.height_px, camera.width_px
-        self.pixel_x, self.pixel_y = camera.pixel_x_mm * 1e-3, camera.pixel_y_mm * 1e-3
-        self.apex_row, self.apex_column = float(camera.apex_row_px), float(camera.apex_column_px)
-        self.apex_rest = self.surface.apex_rest
-        self.plain = camera.optics == "plain"
-        self.iris, self.lens = float(camera.iris), float(camera.lens)
-        self.specks = camera.specks
-        self.setup(scene)
-        self.atlas = GlyphAtlas(max(8, round(0.065 * self.height))) if camera.stamp else None
-
-        profile, line_stroma = edge_profiles()
-        objects = scenery()
-        quantile = gaussian_table() * camera.noise
+        self.capacity = held = capacity(frame_size(scene), SMALLEST)
+        profile, self._line_stroma = edge_profiles()
+        objects, table = scenery(), gaussian_table()
         self.profile = ti.Vector.field(3, ti.f32, len(profile))
-        self.light = ti.Vector.field(2, ti.f32, self.width)  # on stroma and line
+        self.light = ti.Vector.field(2, ti.f32, WIDEST)  # on stroma and line
         self.scenery = ti.Vector.field(2, ti.f32, objects.shape[:2])
-        self.quantile = ti.field(ti.f32, len(quantile))
-        self.even = ti.Vector.field(2, ti.u8, len(quantile))  # air and chamber, by quantile
-        self.mixed = ti.field(ti.u32, (self.width, self.height))
+        self.quantile = ti.field(ti.f32, len(table))
+        self.even = ti.Vector.field(2, ti.u8, len(table))  # air and chamber, by quantile
+        self.mixed = ti.field(ti.u32, held)
         # light from behind the cornea on the surface's radii, and the row from which on there is any
-        self.behind = ti.field(ti.f32, (self.surface.columns, self.height))
-        self.behind_from = ti.field(ti.i32, self.surface.columns)
-        self.across, self.out = Strips(self.width), Strips(self.surface.columns)
+        self.behind = ti.field(ti.f32, held)
+        self.behind_from = ti.field(ti.i32, WIDEST)
+        self.numbers, self.size = ti.field(real(), LENS + 1), ti.field(ti.i32, WIDTH + 1)
+        self.across, self.out = Strips(WIDEST), Strips(WIDEST)
+        self._load_still(profile, objects)
+        self.setup(scene)
+
+    def setup(self, scene) -> None:
+        """Take camera, seed and frame times from another scene that fits; a shared surface is set up by itself."""
+        camera = scene.camera
+        self.seed, self.interval_ms = camera.seed, camera.frame_interval_ms
+        self.height, self.width = camera.height_px, camera.width_px
+        self.apex_column, self.plain, self.specks = camera.apex_column_px, camera.optics == "plain", camera.specks
+        self.atlas = GlyphAtlas(max(8, round(0.065 * self.height))) if camera.stamp else None
+        numbers = {
+            PIXEL_X: camera.pixel_x_mm * 1e-3,
+            PIXEL_Y: camera.pixel_y_mm * 1e-3,
+            APEX_ROW: camera.apex_row_px,
+            APEX_COLUMN: camera.apex_column_px,
+            APEX_REST: self.surface.apex_rest,
+            IRIS: camera.iris,
+            LENS: camera.lens,
+        }
+        quantile = gaussian_table() * camera.noise
         self._load(
-            profile,
-            self._lights(camera, line_stroma),
-            objects,
+            np.array([numbers[k] for k in range(len(numbers))], dtype=float),
+            np.array([self.height, self.width], dtype=np.int32),
+            self._lights(camera, self._line_stroma),
             quantile,
             np.stack([grey_levels(level, quantile) for level in (AIR, CHAMBER)], axis=-1),
         )
-
-    def setup(self, scene) -> None:
-        """Take seed and frame times from another scene, otherwise of the same camera and shape of the eye."""
-        self.seed, self.interval_ms = scene.camera.seed, scene.camera.frame_interval_ms
 
     def render(self, state: FrameState, fresh: bool = True) -> np.ndarray:
         """The frame at `state`; `fresh` says that the surface tables have yet to be updated for it."""
@@ -124,26 +140,34 @@ class Scheimpflug:
         return np.column_stack([stroma, camera.epithelium * np.maximum(line, 0.0)])
 
     @ti.kernel
+    def _load_still(self, profile: ti.types.ndarray(), objects: ti.types.ndarray()):
+        for k in range(profile.shape[0]):
+            self.profile[k] = ti.Vector([profile[k, 0], profile[k, 1], profile[k, 2]])
+        for i, k in ti.ndrange(objects.shape[0], objects.shape[1]):
+            self.scenery[i, k] = ti.Vector([objects[i, k, 0], objects[i, k, 1]])
+
+    @ti.kernel
     def _load(
         self,
-        profile: ti.types.ndarray(),
+        numbers: ti.types.ndarray(),
+        size: ti.types.ndarray(),
         light: ti.types.ndarray(),
-        objects: ti.types.ndarray(),
         quantile: ti.types.ndarray(),
         even: ti.types.ndarray(),
     ):
         # as few loops as may be: each costs compile time
-        for k in range(ti.static(max(self.profile.shape[0], self.quantile.shape[0], self.width))):
-            if k < self.profile.shape[0]:
-                self.profile[k] = ti.Vector([profile[k, 0], profile[k, 1], profile[k, 2]])
-            if k < self.quantile.shape[0]:
+        height, width = size[HEIGHT], size[WIDTH]
+        for k in range(height * width + quantile.shape[0]):
+            if k < numbers.shape[0]:
+                self.numbers[k] = numbers[k]
+            if k < size.shape[0]:
+                self.size[k] = size[k]
+            if k < quantile.shape[0]:
                 self.quantile[k], self.even[k] = quantile[k], ti.Vector([even[k, 0], even[k, 1]])
-            if k < self.width:
+            if k < width:
                 self.light[k] = ti.Vector([light[k, 0], light[k, 1]])
-        for i, k in ti.ndrange(objects.shape[0], objects.shape[1]):
-            self.scenery[i, k] = ti.Vector([objects[i, k, 0], objects[i, k, 1]])
-        for j, i in ti.ndrange(self.width, self.height):
-            self.mixed[j, i] = hash_u32(ti.cast(i * self.width + j, ti.u32))
+            if k < height * width:
+                self.mixed[k] = hash_u32(ti.cast(k % height * width + k // height, ti.u32))
 
     def _speck_column(self, frame: int) -> float:
         """Column of this frame's speck; far outside where it has none."""
@@ -157,28 +181,29 @@ class Scheimpflug:
     @ti.func
     def column(self, j, retreat):
         """Row of the anterior edge, apparent thickness and tilt of column j."""
-        x = (j - self.apex_column) * self.pixel_x
+        x = (j - self.numbers[APEX_COLUMN]) * self.numbers[PIXEL_X]
         z = self.surface.at(self.surface.height, x)
-        slope = self.surface.at(self.surface.slope, x) * self.pixel_x / self.pixel_y
-        depth = (z - self.surface.at(self.surface.apparent, x)) / self.pixel_y
+        slope = self.surface.at(self.surface.slope, x) * self.numbers[PIXEL_X] / self.numbers[PIXEL_Y]
+        depth = (z - self.surface.at(self.surface.apparent, x)) / self.numbers[PIXEL_Y]
         return ti.Vector([self.row_of(z, retreat), ti.max(depth, 1.0), 1.0 / ti.sqrt(1.0 + slope * slope)])
 
     @ti.kernel
     def _render(self, image: ti.types.ndarray(), key: ti.u32, retreat: float, speck: float):
         for turn in range(self.out.turns):
             if self.out.draws(turn):
-                for k in range(self.out.first(turn), self.out.after(turn)):
+                columns = self.surface.used[1]
+                for k in range(self.out.first(turn, columns), self.out.after(turn, columns)):
                     self.look_behind(k, retreat)
         for turn in range(self.across.turns):
             if self.across.draws(turn):
-                for j in range(self.across.first(turn), self.across.after(turn)):
+                for j in range(self.across.first(turn, self.size[WIDTH]), self.across.after(turn, self.size[WIDTH])):
                     self.draw_column(image, j, key, retreat, speck)
 
     @ti.kernel
     def _render_plain(self, image: ti.types.ndarray(), retreat: float):
         for turn in range(self.across.turns):
             if self.across.draws(turn):
-                for j in range(self.across.first(turn), self.across.after(turn)):
+                for j in range(self.across.first(turn, self.size[WIDTH]), self.across.after(turn, self.size[WIDTH])):
                     self.draw_band(image, j, retreat)
 
     @ti.func
@@ -189,12 +214,14 @@ class Scheimpflug:
         loss = (STROMA_TOP - STROMA_BOTTOM) / (STROMA_TOP - CHAMBER) * stroma / thickness
         begin = self.row_from(row - PROFILE_BEFORE_PX / tilt)
         end = ti.max(self.row_from(row + thickness + PROFILE_AFTER_PX / tilt), begin)
-        k, share = self.surface.between(abs(j - self.apex_column) * self.pixel_x)
+        k, share = self.surface.between(abs(j - self.numbers[APEX_COLUMN]) * self.numbers[PIXEL_X])
+        height = self.size[HEIGHT]
+        here, near, far = j * height, k * height, (k + 1) * height
         lit = ti.min(self.behind_from[k], self.behind_from[k + 1])
         dark = ti.max(lit, end)
         # one loop: each more would cost compile time, its branches cost little
-        for i in range(self.height):
-            number = ti.cast(hash_u32(self.mixed[j, i] ^ key) >> 20, ti.i32)
+        for i in range(height):
+            number = ti.cast(hash_u32(self.mixed[here + i] ^ key) >> 20, ti.i32)
             if i < begin:
                 image[i, j] = self.even[number][0]
             elif i >= end and i < dark:
@@ -202,7 +229,7 @@ class Scheimpflug:
             else:
                 behind = 0.0
                 if i >= lit:
-                    behind = self.behind[k, i] + share * (self.behind[k + 1, i] - self.behind[k, i])
+                    behind = self.behind[near + i] + share * (self.behind[far + i] - self.behind[near + i])
                 level = CHAMBER + behind
                 if i < end:
                     # step across the anterior surface, the line's excess, step across the posterior surface
@@ -221,19 +248,19 @@ class Scheimpflug:
     def draw_band(self, image: ti.template(), j, retreat):
         """The band between the two edges in column j, and nothing else."""
         row, thickness, _ = self.column(j, retreat)
-        for i in range(self.height):
+        for i in range(self.size[HEIGHT]):
             cover = ti.math.clamp(i - row + 0.5, 0.0, 1.0) - ti.math.clamp(i - row - thickness + 0.5, 0.0, 1.0)
             image[i, j] = ti.cast(PLAIN_BAND * cover + 0.5, ti.u8)
 
     @ti.func
     def row_of(self, z, retreat):
         """Row of a height [m] over the limbus plane."""
-        return self.apex_row + (self.apex_rest - z + retreat) / self.pixel_y
+        return self.numbers[APEX_ROW] + (self.numbers[APEX_REST] - z + retreat) / self.numbers[PIXEL_Y]
 
     @ti.func
     def row_from(self, row):
         """The first row of the image at or below `row`."""
-        return ti.math.clamp(ti.cast(ti.ceil(row), ti.i32), 0, self.height)
+        return ti.math.clamp(ti.cast(ti.ceil(row), ti.i32), 0, self.size[HEIGHT])
 
     @ti.func
     def look_up(self, offset):
@@ -244,15 +271,16 @@ class Scheimpflug:
     @ti.func
     def look_behind(self, k, retreat):
         """Light of iris and lens along the rays of the k-th radius, down the rows."""
-        dent = ti.math.clamp((self.apex_rest - self.surface.height[0]) * 1e3, 0.0, 1.5)
-        haze = self.lens * (HAZE_REST + (HAZE_DENTED - HAZE_REST) * dent)
+        dent = ti.math.clamp((self.numbers[APEX_REST] - self.surface.height[0]) * 1e3, 0.0, 1.5)
+        haze = self.numbers[LENS] * (HAZE_REST + (HAZE_DENTED - HAZE_REST) * dent)
         top = self.row_from(self.row_of(self.surface.height[k], retreat))
-        lit = self.height
+        height, iris_shown = self.size[HEIGHT], self.numbers[IRIS]
+        lit = height
         # between two rays place in the lit plane goes evenly with the row; straight on before the first, beyond the
         # last
         n = 0
         row, following, start, rate = self.between_rays(k, n, retreat)
-        for i in range(self.height):
+        for i in range(height):
             while n < RAYS - 2 and i >= following:
                 n += 1
                 row, following, start, rate = self.between_rays(k, n, retreat)
@@ -261,9 +289,9 @@ class Scheimpflug:
             front = (IRIS_HEIGHT_MM + IRIS_ABOVE_MM + IRIS_SLOPE * (abs(x) * 1e3 - IRIS_RIM_MM)) * 1e-3
             if i >= top and z < ti.max(front, LENS_ABOVE_MM * 1e-3):
                 iris, lens = self.scenery_at(x, z)
-                light = self.iris * iris + haze * lens
+                light = iris_shown * iris + haze * lens
                 lit = ti.min(lit, i)
-            self.behind[k, i] = light
+            self.behind[k * height + i] = light
         self.behind_from[k] = lit
 
     @ti.func
@@ -272,7 +300,7 @@ class Scheimpflug:
         row."""
         a = self.surface.behind[k, n]
         b = self.surface.behind[k, n + 1]
-        rate = (b - a) * (self.pixel_y / ti.max(a[0] - b[0], 1e-9))
+        rate = (b - a) * (self.numbers[PIXEL_Y] / ti.max(a[0] - b[0], 1e-9))
         return (
             self.row_of(a[0], retreat),
             self.row_of(b[0], retreat),
@@ -292,6 +320,12 @@ class Scheimpflug:
         return (1.0 - q) * ((1.0 - p) * self.scenery[i, k] + p * self.scenery[i + 1, k]) + q * (
             (1.0 - p) * self.scenery[i, k + 1] + p * self.scenery[i + 1, k + 1]
         )
+
+
+def frame_size(scene) -> int:
+    """Pixels of a frame, and no fewer than the rays behind its columns take."""
+    camera = scene.camera
+    return camera.height_px * (camera.width_px + 4)
 
 
 def grey_levels(level: float, quantile: np.ndarray) -> np.ndarray:

@@ -13,14 +13,13 @@ STRIPS = 8
 
 
 class Strips:
-    """`length` rows or columns in strips. turns: of the parallel loop over them.
+    """Strips of up to `capacity` rows or columns. turns: of the parallel loop over them.
 
     A kernel asks `draws` first: a turn that only found its bounds equal would cost 3 ns.
     """
 
-    def __init__(self, length: int):
-        self.length = length
-        self.count, self.grain = (min(STRIPS, length), GRAIN) if on_cpu() else (length, 1)
+    def __init__(self, capacity: int):
+        self.count, self.grain = (STRIPS, GRAIN) if on_cpu() else (capacity, 1)
         self.turns = self.count * self.grain
 
     @ti.func
@@ -29,11 +28,11 @@ class Strips:
         return turn & (self.grain - 1) == 0
 
     @ti.func
-    def first(self, turn):
-        """First row or column of its strip."""
-        return turn // self.grain * self.length // self.count
+    def first(self, turn, length):
+        """First of so many rows or columns in its strip."""
+        return turn // self.grain * length // self.count
 
     @ti.func
-    def after(self, turn):
+    def after(self, turn, length):
         """The one after its last."""
-        return (turn // self.grain + 1) * self.length // self.count
+        return (turn // self.grain + 1) * length // self.count

@@ -24,6 +24,7 @@ import numpy as np
 from taichi_eye.backend import real
 from taichi_eye.eye.eye import eye_of
 from taichi_eye.lang import ti
+from taichi_eye.solver.workspace import capacity
 
 SLOPE_MAX = 4.0  # dz/dr beyond which the table no longer follows an overhang
 POSTERIOR_STEPS = 12  # fixed point on the normal's foot; contracts by thickness over radius of curvature
@@ -31,46 +32,76 @@ SECANT_STEPS = 8
 TOLERANCE = 1e-6  # of both, in thicknesses
 RAYS, RAY_STEP = 7, 0.5e-3  # rays of a column behind the posterior surface, and between their entry points [m]
 MARGIN_MM = 2.0  # table beyond what is drawn: entry points and feet of normals lie outside their column
+SMALLEST = 1024  # entries of a table: smaller ones share one set of kernels
+SPACING, INDEX_RATIO, SIN_ANGLE, COS_ANGLE, FLAT_RATIO, LIMBUS_SLOPE = range(6)  # of `Surface.numbers`
+
+
+def table_size(scene) -> int:
+    """Entries of the tables that a scene needs."""
+    cornea, camera = scene.cornea, scene.camera
+    extent_mm = max(_half_width_mm(camera), cornea.limbus_radius_mm) + MARGIN_MM
+    return ceil(extent_mm / (2.0 * camera.pixel_x_mm)) + 2
+
+
+def _half_width_mm(camera) -> float:
+    return max(camera.apex_column_px, camera.width_px - camera.apex_column_px) * camera.pixel_x_mm
 
 
 @ti.data_oriented
 class Surface:
     """Tables over r = k * spacing of the anterior height and slope and of the apparent posterior height.
 
-    Fields: height [m], slope [-] and posterior [m] (true height) of shape [count], apparent [m] of shape
-    [columns], which reaches as far as the frame does, and behind, [columns, RAYS] vectors (a, x, z) [m]: at the
+    Fields: height [m], slope [-] and posterior [m] (true height), `count` entries in use, apparent [m], of which
+    `columns` are, which reach as far as the frame does, and behind, [columns, RAYS] vectors (a, x, z) [m]: at the
     apparent height a, which falls from ray to ray, the camera sees the point (x, z) of the lit plane; z from the limbus
     plane, all even in x. Beyond the limbus the surface goes on straight, at the slope of the undeformed cap.
+
+    capacity: entries of the fields; any scene whose `table_size` fits may be set up in them.
     """
 
     def __init__(self, scene):
-        cornea, camera = scene.cornea, scene.camera
-        half_width_px = max(camera.apex_column_px, camera.width_px - camera.apex_column_px)
-        half_width_mm = half_width_px * camera.pixel_x_mm
-        extent_mm = max(half_width_mm, cornea.limbus_radius_mm) + MARGIN_MM
-        spacing_mm = 2.0 * camera.pixel_x_mm
-        self.spacing = spacing_mm * 1e-3
-        self.columns = ceil(half_width_mm / spacing_mm) + 2
-        self.count = ceil(extent_mm / spacing_mm) + 2
-        self.index_ratio = 1.0 / camera.refractive_index
-        self.sin_angle = sin(radians(camera.angle_deg))
-        self.cos_angle = cos(radians(camera.angle_deg))
-        optical = camera.refractive_index / self.sin_angle
-        self.flat_ratio = self.cos_angle / self.sin_angle / sqrt(optical * optical - 1.0)
-        cap = cornea.limbus_radius_mm / cornea.radius_mm
-        self.limbus_slope = max(-cap / sqrt(max(1.0 - cap * cap, 1e-6)), -SLOPE_MAX)
-        self.apex_rest = float(eye_of(scene).section.apex_z)
-        self.height = ti.field(real(), self.count)
-        self.slope = ti.field(real(), self.count)
-        self.posterior = ti.field(real(), self.count)
-        self.apparent = ti.field(real(), self.columns)
-        self.behind = ti.Vector.field(3, real(), (self.columns, RAYS))
-        self.thickness = ti.field(real(), self.count)
+        self.capacity = held = capacity(table_size(scene), SMALLEST)
+        self.height, self.slope, self.posterior, self.apparent, self.thickness = (
+            ti.field(real(), held) for _ in range(5)
+        )
+        self.behind = ti.Vector.field(3, real(), (held, RAYS))
+        self.numbers = ti.field(real(), LIMBUS_SLOPE + 1)
+        self.used = ti.field(ti.i32, 2)  # count, columns
         self.setup(scene)
 
     def setup(self, scene) -> None:
-        """Take the thickness from another scene, of the same camera and shape of the eye."""
-        self.thickness.from_numpy(eye_of(scene).thickness(np.arange(self.count) * self.spacing))
+        """Take camera, shape and thickness of the eye from another scene that fits."""
+        cornea, camera = scene.cornea, scene.camera
+        spacing_mm = 2.0 * camera.pixel_x_mm
+        self.spacing = spacing_mm * 1e-3
+        self.columns, self.count = ceil(_half_width_mm(camera) / spacing_mm) + 2, table_size(scene)
+        sine, cosine = sin(radians(camera.angle_deg)), cos(radians(camera.angle_deg))
+        optical = camera.refractive_index / sine
+        cap = cornea.limbus_radius_mm / cornea.radius_mm
+        eye = eye_of(scene)
+        self.apex_rest = float(eye.section.apex_z)
+        numbers = {
+            SPACING: self.spacing,
+            INDEX_RATIO: 1.0 / camera.refractive_index,
+            SIN_ANGLE: sine,
+            COS_ANGLE: cosine,
+            FLAT_RATIO: cosine / sine / sqrt(optical * optical - 1.0),
+            LIMBUS_SLOPE: max(-cap / sqrt(max(1.0 - cap * cap, 1e-6)), -SLOPE_MAX),
+        }
+        self._load(
+            np.array([numbers[k] for k in range(len(numbers))]),
+            np.array([self.count, self.columns], dtype=np.int32),
+            eye.thickness(np.arange(self.count) * self.spacing),
+        )
+
+    @ti.kernel
+    def _load(self, numbers: ti.types.ndarray(), used: ti.types.ndarray(), thickness: ti.types.ndarray()):
+        for k in range(thickness.shape[0]):
+            self.thickness[k] = thickness[k]
+            if k < numbers.shape[0]:
+                self.numbers[k] = numbers[k]
+            if k < used.shape[0]:
+                self.used[k] = used[k]
 
     def update(self, wall: np.ndarray | ti.MatrixField, wall_count: int) -> None:
         """Resample the wall and trace the posterior surface; gathers only, the same bits on any thread
@@ -81,12 +112,12 @@ class Surface:
 
     @ti.kernel
     def _update(self, wall: ti.types.ndarray(), wall_count: ti.i32):
-        for k in range(self.count):
-            point = self.resample(wall, wall_count, k * self.spacing)
+        for k in range(self.used[0]):
+            point = self.resample(wall, wall_count, k * self.numbers[SPACING])
             self.height[k] = point[0]
             self.slope[k] = point[1]
-        for k in range(self.count):
-            x = k * self.spacing
+        for k in range(self.used[0]):
+            x = k * self.numbers[SPACING]
             foot = x
             for _ in range(POSTERIOR_STEPS):
                 s = self.at(self.slope, foot)
@@ -97,8 +128,8 @@ class Surface:
                     break
             s = self.at(self.slope, foot)
             self.posterior[k] = self.at(self.height, foot) - self.at(self.thickness, foot) / ti.sqrt(1.0 + s * s)
-        for k in range(self.columns):
-            x = k * self.spacing
+        for k in range(self.used[1]):
+            x = k * self.numbers[SPACING]
             y = self.trace(x)
             for n in range(RAYS):
                 ray = self.enter(x, y + n * RAY_STEP)
@@ -109,15 +140,15 @@ class Surface:
     def at(self, table: ti.template(), r):
         """Linear interpolation in a table, even in r, straight on beyond its end. NaN stays within the
         table, so that a broken state still draws."""
-        t = abs(r) * (1.0 / self.spacing)
-        k = ti.math.clamp(ti.cast(t, ti.i32), 0, table.shape[0] - 2)
+        t = abs(r) * (1.0 / self.numbers[SPACING])
+        k = ti.math.clamp(ti.cast(t, ti.i32), 0, self.used[0] - 2)
         return table[k] + (t - k) * (table[k + 1] - table[k])
 
     @ti.func
     def between(self, r):
         """The column of the tables below radius r >= 0, and the share of the way to the next."""
-        t = r * (1.0 / self.spacing)
-        k = ti.math.clamp(ti.cast(t, ti.i32), 0, self.columns - 2)
+        t = r * (1.0 / self.numbers[SPACING])
+        k = ti.math.clamp(ti.cast(t, ti.i32), 0, self.used[1] - 2)
         return k, t - k
 
     @ti.func
@@ -139,7 +170,7 @@ class Surface:
         so a short walk from the guess finds the two that hold r between them; where the wall overhangs, one
         such pair."""
         last = node(wall, wall_count - 1)
-        result = ti.Vector([last[1] + self.limbus_slope * (r - last[0]), self.limbus_slope])
+        result = ti.Vector([last[1] + self.numbers[LIMBUS_SLOPE] * (r - last[0]), self.numbers[LIMBUS_SLOPE]])
         if r <= last[0]:
             i = ti.math.clamp(ti.cast(r / last[0] * (wall_count - 1), ti.i32), 0, wall_count - 2)
             while i > 0 and wall[i, 0] > r:
@@ -174,6 +205,7 @@ class Surface:
     def enter(self, x, y):
         """The camera ray that enters at (x, y): its apparent height, how far above the posterior surface it
         meets the lit plane, and the x and z where it does [m]."""
+        bent, sine, cosine = self.numbers[INDEX_RATIO], self.numbers[SIN_ANGLE], self.numbers[COS_ANGLE]
         rho = ti.sqrt(x * x + y * y)
         z = self.at(self.height, rho)
         s = self.at(self.slope, rho)
@@ -183,13 +215,13 @@ class Surface:
         if rho > 0.0:
             nx = -s * nz * x / rho
             ny = -s * nz * y / rho
-        facing = ti.max(ny * self.sin_angle + nz * self.cos_angle, 0.05)
-        bend = self.index_ratio * facing - ti.sqrt(1.0 - self.index_ratio**2 * (1.0 - facing * facing))
+        facing = ti.max(ny * sine + nz * cosine, 0.05)
+        bend = bent * facing - ti.sqrt(1.0 - bent**2 * (1.0 - facing * facing))
         tx = bend * nx
-        ty = -self.index_ratio * self.sin_angle + bend * ny
-        tz = -self.index_ratio * self.cos_angle + bend * nz
+        ty = -bent * sine + bend * ny
+        tz = -bent * cosine + bend * nz
         run = y / ti.max(-ty, 1e-3)
-        apparent = z - y * self.cos_angle / self.sin_angle
+        apparent = z - y * cosine / sine
         px = x + run * tx
         pz = z + run * tz
         return ti.Vector([apparent, pz - self.at(self.posterior, px), px, pz])
@@ -202,7 +234,7 @@ class Surface:
         gap0 = y
         for n in range(SECANT_STEPS + 1):
             gap = self.enter(x, y)[1]
-            onwards = self.flat_ratio * gap * self.sin_angle / self.cos_angle
+            onwards = self.numbers[FLAT_RATIO] * gap * self.numbers[SIN_ANGLE] / self.numbers[COS_ANGLE]
             if n > 0:
                 change = gap - gap0
                 if abs(gap) < TOLERANCE * self.thickness[0] or change == 0.0:

@@ -38,7 +38,7 @@ from taichi_eye.ladder.misfit import misfit
 from taichi_eye.ladder.rungs import with_numerics
 from taichi_eye.ladder.trial import run_to_stop
 from taichi_eye.scene import Scene
-from taichi_eye.scene.resolve import coarsest_spacing_mm
+from taichi_eye.scene.resolve import coarsest_spacing_mm, section_area_mm2
 from taichi_eye.scene.schema import AUTO
 from taichi_eye.solver.reduced import Cavity, Reduced, ThinLayer
 from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
@@ -46,11 +46,8 @@ from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
 PILOT = 8  # elements of the coarsest pilots
 OFFERED = 4 * PILOT  # of the coarsest uniform rung offered: it costs 10 ms, and fewer make a film of a polygon
 MARGIN = 0.15  # share of the tolerance that the estimates leave free
-MAP_S, NODE_STEP_S, SAMPLES_S = (
-    5e-3,
-    9e-8,
-    0.02,
-)  # of a flow map at 0.2 mm, of mfpm a node and step, and its samples per ms
+# seconds: of a flow map at 0.2 mm, of mfpm a node and step and its samples per ms, of a uniform rung at 0.4 mm per ms
+MAP_S, NODE_STEP_S, SAMPLES_S, UNIFORM_S = 5e-3, 9e-8, 0.02, 1.5e-4
 MAP_SHARE = 0.12  # of the inertia that a flow map at COARSEST_MM gets wrong
 COARSEST_MM, FINEST_MM = 0.4, 0.05  # spacings offered where nodes are packed, and the finest at all
 PILOT_C = 40.0  # m/s
@@ -68,7 +65,8 @@ class Choice:
 
     scene: with fidelity, spacing, sound speed and refresh travel set; reason: one line; estimates: errors in percent by
     rung and source; refused: why a rung is no model of the scene; simulation: the run itself where a pilot was already
-    it, else None; seconds: spent on pilots.
+    it, else None; seconds: spent on pilots; expected_s: what the solver will take, on one core; doubts: where the
+    tolerance is not kept.
     """
 
     scene: Scene
@@ -77,6 +75,8 @@ class Choice:
     refused: dict = field(default_factory=dict)
     simulation: Reduced | None = None
     seconds: float = 0.0
+    expected_s: float = 0.0
+    doubts: list[str] = field(default_factory=list)
 
     def as_dict(self) -> dict:
         """For the summary."""
@@ -89,6 +89,8 @@ class Choice:
             "estimates_percent": self.estimates,
             "refused": self.refused,
             "pilots_s": round(self.seconds, 4),
+            "expected_s": float(f"{self.expected_s:.2g}"),
+            "doubts": self.doubts,
         }
 
 
@@ -159,7 +161,8 @@ class _Climb:
     def _apart(self, one, other) -> float:
         return misfit(one.traces, other.traces).of(self.numerics.tolerance_on)
 
-    def _take(self, rung, spacing_mm, reason, simulation=None, **numerics) -> bool:
+    def _take(self, rung, spacing_mm, reason, expected_s, simulation=None, **numerics) -> bool:
+        self.choice.expected_s = expected_s
         self.choice.scene = with_numerics(self.scene, fidelity=rung, spacing_mm=spacing_mm, **numerics)
         self.choice.reason, self.choice.simulation = f"{rung} at {spacing_mm:.3g} mm: {reason}", simulation
         return True
@@ -196,6 +199,7 @@ class _Climb:
             spacing,
             f"inertia {self.inertia:.2g} % and space "
             f"{self.choice.estimates[rung]['space']:.2g} % stay within {tolerance:g} %",
+            UNIFORM_S * self.numerics.duration_ms * (0.4 / spacing) ** 1.5,
             ready,
         )
 
@@ -230,7 +234,8 @@ class _Climb:
             return False
         travelled = float(np.abs(np.diff(fine.traces["apex_displacement_mm"])).sum())
         maps_s = MAP_S * (0.2 / spacing) ** 2.4 * travelled / (travel * spacing)
-        if maps_s > self._mfpm_setting()[0]:
+        other_s, *_, other, by_sound = self._mfpm_setting()
+        if maps_s > other_s and other + by_sound <= tolerance:
             self.slow = f"added_mass would take some {maps_s:.2g} s for its flow maps"
             return False
         source = max(errors, key=errors.get)
@@ -239,26 +244,27 @@ class _Climb:
             spacing,
             f"{self._why_not_cavity()}; {source} {errors[source]:.2g} % and the rest "
             f"{sum(errors.values()) - errors[source]:.2g} % stay within {tolerance:g} %",
+            maps_s,
             refresh_travel=travel,
         )
 
     def _mfpm(self) -> None:
         tolerance = self.numerics.tolerance_percent
-        _, c, spacing, error, by_sound = self._mfpm_setting()
+        expected_s, c, spacing, error, by_sound = self._mfpm_setting()
         self.choice.estimates["mfpm"] = {"space": error, "sound speed": by_sound}
         self._take(
             "mfpm",
             spacing,
-            f"{self._why_not_cavity()}; space {error:.2g} % and c = {c:g} m/s "
-            f"{by_sound:.2g} %"
-            + (
-                ""
-                if error + by_sound <= tolerance
-                else f" are more than {tolerance:g} %, but no setting offered does better"
-            ),
+            f"{self._why_not_cavity()}; space {error:.2g} % and c = {c:g} m/s {by_sound:.2g} %",
+            expected_s,
             sound_speed_m_s=c,
             mean_sound_speed_m_s=_mean_speed(c),
         )
+        if error + by_sound > tolerance:
+            self.choice.doubts.append(
+                f"numerics.tolerance_percent = {tolerance:g} is not kept: space {error:.2g} % and sound speed "
+                f"{by_sound:.2g} % are expected, and no setting that auto offers does better"
+            )
 
     def _mfpm_setting(self) -> tuple[float, float, float, float, float]:
         """The cheapest of SPEEDS with the spacing it leaves: time expected [s], c, spacing [mm], errors by space and
@@ -279,18 +285,14 @@ class _Climb:
                 offered.append(
                     (self._mfpm_s(c, spacing), c, spacing, self.space * (spacing / self.size) ** 2, by_sound)
                 )
-        finest = (
-            math.inf,
-            SPEEDS[-1],
-            FINEST_MM,
-            self.space * (FINEST_MM / self.size) ** 2,
-            self._by_sound(soft, SPEEDS[-1]),
-        )
-        return min(offered, default=finest)
+        c = SPEEDS[-1]
+        error = self.space * (FINEST_MM / self.size) ** 2
+        return min(offered, default=(self._mfpm_s(c, FINEST_MM), c, FINEST_MM, error, self._by_sound(soft, c)))
 
     def _mfpm_s(self, c, spacing) -> float:
-        """Expected time [s] of an mfpm run: some 2 c / h steps a millisecond, 13 mm^2 of section."""
-        return self.numerics.duration_ms * (SAMPLES_S + NODE_STEP_S * 13.0 / spacing**2 * 2.0 * c / spacing)
+        """Expected time [s] of an mfpm run: some 2 c / h steps a millisecond, 1.25 nodes to h^2 of the section."""
+        nodes = 1.25 * section_area_mm2(self.scene.values()) / spacing**2
+        return self.numerics.duration_ms * (SAMPLES_S + NODE_STEP_S * nodes * 2.0 * c / spacing)
 
     def _by_sound(self, soft, c) -> float:
         waves = WAVE_SHARE * (self.inertia or 0.0) * (20.0 / c) ** 2

@@ -55,7 +55,7 @@ class Recording:
     def view(self) -> FilmView:
         """The film's view, one that an earlier run no longer needs where it fits: fields and kernels are never given
         back, and a new view for every run would end a long row of them."""
-        kind = backend.generation(), "view", FilmView.built_in(self.scene)
+        kind = backend.generation(), "view", FilmView.capacities(self.scene)
         view = reuse(self, kind, lambda: FilmView(self.scene))
         if view.scene is not self.scene:
             view.setup(self.scene)

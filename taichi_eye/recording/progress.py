@@ -26,12 +26,17 @@ class Progress(Observer):
     def __exit__(self, kind, error, trace) -> None:
         self._bar.close()
 
+    def decided(self, choice) -> None:
+        """Say what "auto" has chosen (`taichi_eye.ladder.choose`), and how long that will take, before it does."""
+        if not self._bar.disable:
+            self._bar.write(f"auto     {choice.reason}; some {choice.expected_s:.1g} s")
+            for doubt in choice.doubts:
+                self._bar.write(f"warning: {doubt}")
+
     def opened(self, recording, held) -> None:
         super().opened(recording, held)
         if not self._bar.disable:
             self._bar.write(_announce(recording.scene, recording.simulation))
-            if recording.choice is not None:
-                self._bar.write(f"auto     {recording.choice['reason']}")
         self._bar.set_description_str("air puff: ")
         self.sample()
 

@@ -11,9 +11,7 @@ from taichi_eye.recording.observer import Observer
 from taichi_eye.report.compare import differences
 from taichi_eye.report.folder import write_text
 from taichi_eye.report.history import summarise
-
-BALANCE_DOUBTED = 0.02  # energy error over the puff's work
-SQUEEZE_DOUBTED = 0.01  # volume error of a sealed chamber
+from taichi_eye.solver.doubts import doubts
 
 
 class Summary(Observer):
@@ -49,7 +47,7 @@ def _summary(recording, ending) -> dict:
         **simulation.facts(),
         "wall_clock": {name: round(seconds, 3) for name, seconds in clock.items()},
     }
-    summary["warnings"] = _warnings(summary, recording.scene)
+    summary["warnings"] = doubts(simulation.case, traces)
     if recording.measured is not None:
         measured = recording.measured
         summary["warnings"] += [f"--compare {measured.name}: {note}" for note in measured.notes]
@@ -59,21 +57,5 @@ def _summary(recording, ending) -> dict:
         }
     if recording.choice is not None:
         summary["choice"] = recording.choice
+        summary["warnings"] += recording.choice["doubts"]
     return summary
-
-
-def _warnings(summary, scene) -> list[str]:
-    """What a finished run should be doubted for, though no guard stopped it."""
-    said = []
-    balance, squeezed = summary["energy_error_share_of_work"], summary["chamber_volume_error_max"]
-    if balance > BALANCE_DOUBTED:
-        said.append(
-            f"the energy balance is off by {100 * balance:.1f} % of the puff's work: lower numerics.spacing_mm"
-            + (', or use numerics.wall_condition = "slip"' if scene.numerics.wall_condition == "no_slip" else "")
-        )
-    if scene.chamber.sealed and scene.numerics.fidelity != "membrane" and squeezed > SQUEEZE_DOUBTED:
-        said.append(
-            f"the liquid was compressed by {100 * squeezed:.1f} %, which deepens the dent: raise "
-            "numerics.sound_speed_m_s"
-        )
-    return said

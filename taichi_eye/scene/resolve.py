@@ -181,7 +181,7 @@ def coarsest_spacing_mm(values: Mapping[str, float]) -> float:
     return min(_room(values) / SPACINGS_DEEP, _lens_gap(values) / LENS_CLEARANCE)
 
 
-def _section_area(values: Mapping[str, float]) -> float:
+def section_area_mm2(values: Mapping[str, float]) -> float:
     """Area [mm^2] of the liquid's half section, where the nodes are."""
     radius, limbus = values["cornea.radius_mm"], values["cornea.limbus_radius_mm"]
     area = _segment(radius, math.asin(limbus / radius)) + limbus * (values["chamber.depth_mm"] - _cap_depth(values))
@@ -194,7 +194,7 @@ def _section_area(values: Mapping[str, float]) -> float:
 def _spacing(draft: Draft) -> None:
     """Enough nodes in the chamber and not too many."""
     spacing = draft["numerics.spacing_mm"]
-    area, room, gap = (measure(draft.values) for measure in (_section_area, _room, _lens_gap))
+    area, room, gap = (measure(draft.values) for measure in (section_area_mm2, _room, _lens_gap))
     if gap < LENS_CLEARANCE * spacing:
         draft.refuse(
             f"the lens cap comes within {gap:.4g} mm of the cornea at rest; at least {LENS_CLEARANCE} "

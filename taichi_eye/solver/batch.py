@@ -34,7 +34,7 @@ from taichi_eye.solver.workspace import borrow
 from taichi_eye.units import MM
 
 # a batch's own share of its state, arrays [eyes]
-KEPT = ("steps", "rebuilds", "recorded", "_binding", "_dt", "_going")
+KEPT = ("steps", "rebuilds", "recorded", "_binding", "_dt", "_load", "_going")
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class Batch:
         self._course = Puffs([case.eye.puff for case in self.cases])
         self._rebuild_travel = np.array([case.scheme.refresh_distance for case in self.cases])
         self._guard = Guard(self.cases, [liquid_advice(case) for case in self.cases])
-        self._dt = np.zeros(eyes)
+        self._dt, self._load = np.zeros((2, eyes))  # of the last step: its length [s] and the puff at its end [Pa]
         # the figures of every sample, a row to an eye; the eyes that it was last taken of, those that no guard has
         # stopped
         self._history = at_rest(self._samples.max() + 1, eyes)
@@ -168,17 +168,28 @@ class Batch:
         self._binding[eyes] = which[eyes]
         steps = np.ceil(span / limit[eyes])
         dt = span / steps
-        times = np.zeros((len(self.scenes), int(steps.max())))
-        times[eyes] = (self.sample * span)[:, None] + dt[:, None] * np.arange(1, times.shape[1] + 1)
         before = self._dt[eyes]
+        loads = self._loads(eyes, dt, int(steps.max()))
         self.sample += 1
-        self.sampler.take(
-            eyes, steps, dt, np.where(before > 0.0, before, dt), self._course.pressure_at_apex(times)[eyes]
-        )
+        self.sampler.take(eyes, steps, dt, np.where(before > 0.0, before, dt), loads)
         self._history[self.sample] = self.sampler.rows[: len(self.scenes)]
-        self._dt[eyes] = dt
+        self._dt[eyes], self._load[eyes] = dt, loads[np.arange(len(eyes)), steps.astype(int) - 1]
         self.steps[eyes] += steps.astype(int)
         return True
+
+    def _loads(self, eyes, dt, steps: int) -> np.ndarray:
+        """The puff [Pa] that eyes meet at the end of each of so many steps of dt [s], [eyes, steps].
+
+        A load stands for half a step to either side. The first also takes what the last one before stood for too long
+        or too short, its step having had another length, and at the start of a run, at rest, the half step before it.
+        """
+        edges = np.tile(np.arange(steps + 1.0), (len(self.scenes), 1))
+        start, before = self.sample * self._span[eyes], self._dt[eyes]
+        edges[eyes] = start[:, None] + dt[:, None] * (np.arange(steps + 1) + 0.5)
+        edges[eyes, 0] = start + 0.5 * before
+        impulse = self._course.impulse_at_apex(edges)[eyes]
+        impulse[:, 0] -= 0.5 * (dt - before) * self._load[eyes]
+        return impulse / dt[:, None]
 
     def record(self) -> None:
         """Look at the eyes that were advanced last: add to their traces, stop what left its validity, rebuild

@@ -255,6 +255,7 @@ class Coupling:
         self._match_wall(eye, dt)
         for i in range(self.aqueous.first[eye], self.aqueous.first[eye] + self.aqueous.wall_count[eye]):
             self._end_cornea_step(eye, i, dt)
+        self.cornea.half_step[eye] = 0.5 * dt
 
     @ti.func
     def march(self, eye, k, plan: ti.template()):

@@ -18,6 +18,7 @@ from taichi_eye.cloud.packing import Cloud, cornea_elements, pack
 from taichi_eye.cloud.quality import measure
 from taichi_eye.errors import RunStopped
 from taichi_eye.eye.jet import central_curvature
+from taichi_eye.eye.puff import Puff
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.case import case_of
 from taichi_eye.solver.cornea import Cornea
@@ -27,6 +28,7 @@ from taichi_eye.solver.guards import CLOSED, Advice, Guard, most_slant
 from taichi_eye.solver.motion import Motion
 from taichi_eye.solver.potential import LayerFlow, PotentialFlow
 from taichi_eye.solver.rings import ring_areas
+from taichi_eye.solver.scheme import Clock
 from taichi_eye.solver.state import State
 from taichi_eye.solver.timestep import bending_limit, shear_damping
 from taichi_eye.solver.wall_stepper import PUFF_ROWS, RUNNING, WallStepper
@@ -40,6 +42,20 @@ ADVICE = Advice(
     back="Lower puff.peak_kpa, raise eye.iop_mmhg or chamber.depth_mm, or model the liquid that is in the way: "
     'numerics.fidelity = "mfpm".',
 )
+
+
+def puff_table(puff: Puff, clock: Clock) -> np.ndarray:
+    """The puff's impulse [Pa s] since the start and what it gains per row, by rows of time [rows, 2], PUFF_ROWS to a
+    sample (`WallStepper.advance`).
+
+    The gain is that from half a row before to half a row after: of a pulse shorter than a row its share, and not what
+    it would be at that pace.
+    """
+    row = clock.sample_s / PUFF_ROWS
+    times = np.arange(clock.samples * PUFF_ROWS + 2) * row
+    impulse = np.append(0.0, np.cumsum(puff.impulse_at_apex(times)))
+    gain = puff.impulse_at_apex(np.append(times - 0.5 * row, times[-1] + 0.5 * row))
+    return np.column_stack([impulse, gain])
 
 
 class _Wall:
@@ -90,8 +106,7 @@ class Reduced:
         self._filmed: tuple[int, np.ndarray] | None = None
         self._place_at_rest()
         clock = self.clock
-        times = np.arange(clock.samples * PUFF_ROWS + 2) * (clock.sample_s / PUFF_ROWS)
-        self._puff_table = self.puff.pressure_at_apex(times)
+        self._puff_table = puff_table(self.puff, clock)
         self._record = at_rest(clock.samples + 1)
         self._record[0, at.apex_place], self._record[0, at.fluid_pressure_apex] = self.section.apex_z, self.eye.iop
         self._record[0, at.least_stress] = float(self.cornea.stress.to_numpy()[: self.wall_count - 1].min())
@@ -229,7 +244,7 @@ class Reduced:
             return None
         nodes = self.section.cornea_nodes(self.wall_count - 1)
         place = self.frames[frame, :, :2]
-        spread = self.puff.radial(nodes[:, 0], central_curvature(place, nodes[:, 0]))
+        spread = self.puff.on_rings(nodes[:, 0], central_curvature(place, nodes[:, 0]))
         air = self.puff.pressure_at_apex(sample * self.clock.sample_s) * spread
         net = self.eye.iop + self.frames[frame, :, 6] - air
         return Folding.of(self.eye, nodes).lobes(place, net)

@@ -40,7 +40,7 @@ from taichi_eye.solver.globe import Globe
 from taichi_eye.solver.state import Snapshot
 
 SMOOTHINGS = 4  # of what is quadratic in the velocity
-PUFF_ROWS = 4  # of the puff's table per sample, linear in between
+PUFF_ROWS = 4  # of the puff's table per sample
 RUNNING, ALARM = range(2)
 
 
@@ -294,6 +294,24 @@ class WallStepper:
             self.moved[i] = dt * self.cornea.velocity[i]
             self.cornea.place[i] += self.moved[i]
 
+    @ti.func
+    def _impulse(self, puff: ti.template(), sample, start, end):
+        """The puff's impulse [Pa s] at the apex from `start` to `end`, in rows of its table after a sample's.
+
+        puff [rows, 2]: its impulse up to a time and its slope per row there, PUFF_ROWS to a sample; cubic in between.
+        """
+        first, last = ti.cast(ti.floor(start), ti.i32), ti.cast(ti.floor(end), ti.i32)
+        a = ti.max(sample * PUFF_ROWS + first, 0)
+        b = ti.min(sample * PUFF_ROWS + last, puff.shape[0] - 2)
+        whole = puff[b, 0] - puff[a, 0]
+        return whole + self._into_row(puff, b, end - last) - self._into_row(puff, a, start - first)
+
+    @ti.func
+    def _into_row(self, puff: ti.template(), row, share):
+        """What a share of a row of the puff's table adds [Pa s]."""
+        rise, slope, next = puff[row + 1, 0] - puff[row, 0], puff[row, 1], puff[row + 1, 1]
+        return share * (slope + share * (3.0 * rise - 2.0 * slope - next + share * (slope + next - 2.0 * rise)))
+
     @ti.kernel
     def advance(
         self,
@@ -310,7 +328,7 @@ class WallStepper:
         """Take samples of `span` [s] from sample `first` to `last`; the sample reached.
 
         Ends early at an alarm (`status`), or once a node has moved by `far` [m] since the maps were loaded.
-        puff: its table [Pa], PUFF_ROWS intervals per sample from time 0. Filled: record [samples + 1, QUANTITIES], and
+        puff: its table, as `_impulse` reads it. Filled: record [samples + 1, QUANTITIES], and
         at every `per_frame` samples frames [frame, node, place 2, velocity 2, acceleration 2, excess pressure].
         """
         reached = first
@@ -321,13 +339,12 @@ class WallStepper:
             if ti.static(self.flowing):
                 self._find_quadratic()
             for n in range(steps):
-                where = (reached + n / steps) * PUFF_ROWS
-                row = ti.min(ti.cast(where, ti.i32), puff.shape[0] - 2)
-                load = puff[row] + (where - row) * (puff[row + 1] - puff[row])
                 before = dt
                 if n == 0:
                     before = self.last_dt[0]
-                self._step(load, dt, 0.5 * (dt + before), ti.select(before > 0.0, before, dt))
+                kick, here, rows = 0.5 * (dt + before), n * dt / span, 0.5 * PUFF_ROWS / span
+                load = self._impulse(puff, reached, here * PUFF_ROWS - rows * before, here * PUFF_ROWS + rows * dt)
+                self._step(load / kick, dt, kick, ti.select(before > 0.0, before, dt))
             self.last_dt[0] = dt
             self.steps[None] += steps
             reached += 1
@@ -377,8 +394,9 @@ class WallStepper:
             if above < room:
                 room, near = above, i
             v = self.cornea.velocity[i] + half * self.cornea.acceleration[i]
-            kinetic += 0.5 * self.cornea.mass[i] * v.norm_sqr()
-            work += 0.5 * self.cornea.force_air[i].dot(self.moved[i])
+            kinetic += self.cornea.kinetic_at(i, v, half)
+            # the work of the last step with the force at its start, which is also what the velocity goes on with
+            work += self.cornea.force_air[i].dot(self.moved[i])
             sum = self.cornea.place[i].sum() + v.sum()
             if bad < 0 and (ti.math.isnan(sum) or ti.math.isinf(sum)):
                 bad = i

@@ -96,5 +96,46 @@ def test_puffs_of_many_eyes_are_each_ones_own_bit_for_bit(tmp_path):
     ]
     t = np.random.default_rng(0).uniform(0.0, 0.032, (len(loads), 40))
     for chosen in (loads, loads[:1], loads[3:4], [loads[0], loads[2]]):
-        together = Puffs(chosen).pressure_at_apex(t[: len(chosen)])
-        np.testing.assert_array_equal(together, [load.pressure_at_apex(at) for load, at in zip(chosen, t)])
+        together = Puffs(chosen).impulse_at_apex(t[: len(chosen)])
+        np.testing.assert_array_equal(together, [load.impulse_at_apex(at) for load, at in zip(chosen, t)])
+
+
+def test_the_impulse_is_the_integral_of_the_pressure(tmp_path):
+    (tmp_path / "puff.csv").write_text("time_ms,pressure_kpa\n1,2\n1.3,7\n1.305,-3\n25,1\n", encoding="utf-8")
+    spans = [0.0, 0.7e-3, 1.29e-3, 1.31e-3, 8e-3, 8.02e-3, 26e-3, 30e-3]
+    for load, spoilt in (
+        (puff(), []),
+        (puff("puff.duration_ms=2", "puff.spread_b=400"), [1e-3]),
+        (puff("puff.time_course=file", f"puff.file={tmp_path / 'puff.csv'}"), [1e-3, 1.3e-3, 1.305e-3, 25e-3]),
+    ):
+        exact = []
+        for start, end in zip(spans, spans[1:]):
+            kinks = [t for t in spoilt if start < t < end] or None
+            exact.append(quad(load.pressure_at_apex, start, end, points=kinks, epsabs=1e-12, epsrel=1e-11)[0])
+        np.testing.assert_allclose(load.impulse_at_apex(spans), exact, rtol=1e-8, atol=1e-9)
+    steps = np.arange(0.0, 32e-3, 25e-6)
+    load = puff("puff.time_course=corvis")
+    whole, _ = quad(load.pressure_at_apex, 0.0, steps[-1], points=[16.15e-3], epsrel=1e-12)
+    assert load.impulse_at_apex(steps).sum() == pytest.approx(whole, rel=1e-8)
+
+
+def test_rings_carry_the_whole_force_of_the_load():
+    rng = np.random.default_rng(3)
+    r = np.append(0.0, np.sort(rng.uniform(0.0, 5.8e-3, 12)))
+    edges = np.concatenate([[0.0], 0.5 * (r[1:] + r[:-1]), r[-1:]])
+    for keys in (
+        ["puff.spread_a=0"],
+        ["puff.spread_a=1e-3"],
+        [],
+        ["puff.radial_profile=gaussian", "puff.width_mm=0.05"],
+    ):
+        load = puff(*keys)
+        force = (load.on_rings(r) * np.pi * np.diff(edges**2)).sum()
+        exact, _ = quad(
+            lambda at: load.radial(at) * 2.0 * np.pi * at, 0.0, r[-1], points=[1e-4], epsabs=0, epsrel=1e-12
+        )
+        assert force == pytest.approx(exact, rel=1e-11)
+    fed = puff("puff.dent_feedback=0.5")
+    np.testing.assert_allclose(fed.on_rings(np.array([0.0, 1e-7, 2e-7, 3e-7]), -90.0), 1.0, atol=1e-6)
+    fine = np.linspace(0.0, 5.8e-3, 4001)
+    np.testing.assert_allclose(fed.on_rings(fine, -90.0)[1:-1], fed.radial(fine, -90.0)[1:-1], atol=1e-6)

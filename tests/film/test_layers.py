@@ -50,7 +50,9 @@ def test_rim_is_seen_thicker_where_the_scene_says_so(synthetic_eye):
         eye = synthetic_eye([*QUIET, *overrides])
         surface = Surface(eye.scene)
         surface.update(eye.state.wall, eye.state.wall_count)
-        rows = (surface.height.to_numpy()[: surface.columns] - surface.apparent.to_numpy()) / 0.0165e-3
+        rows = (
+            surface.height.to_numpy()[: surface.columns] - surface.apparent.to_numpy()[: surface.columns]
+        ) / 0.0165e-3
         return np.interp([0.0, 4.5], np.arange(surface.columns) * surface.spacing * 1e3, rows)
 
     uniform, profile = thickness(), thickness("cornea.limbus_thickness_mm=0.67")

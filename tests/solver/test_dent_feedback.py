@@ -39,7 +39,7 @@ def test_the_load_is_the_laws_at_the_shape_of_the_moment(rung):
     for _, place, found in seen[1:]:
         curvatures.append(jet.central_curvature(place, rest))
         # the load is that of the step that led there
-        expected = eye.puff.radial(rest, curvatures[-1])
+        expected = eye.puff.on_rings(rest, curvatures[-1])
         np.testing.assert_allclose(found, expected, atol=2e-3)
     assert curvatures[0] == pytest.approx(1.0 / 7.8e-3, rel=0.01) and min(curvatures) < -20.0
     assert seen[-1][2][5] > seen[1][2][5] + 0.05

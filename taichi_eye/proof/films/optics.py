@@ -201,7 +201,7 @@ def _apparent_mm(studio: Studio, scene, radius: float) -> np.ndarray:
     studio.wall.from_numpy(wall * 1e-3)
     surface = Surface(scene)
     surface.update(studio.wall, NODES)
-    return 1e3 * (surface.height.to_numpy()[: surface.columns] - surface.apparent.to_numpy())
+    return 1e3 * (surface.height.to_numpy()[: surface.columns] - surface.apparent.to_numpy()[: surface.columns])
 
 
 def _profile(column: np.ndarray) -> Figure:
