@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,25 +12,28 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_eye.report.folder import replacing
-from taichi_eye.report.page import COLOURS, picture, plain, table, write_page
+from taichi_eye.report.page import COLOURS, embedded, plain, table, write_page
 from taichi_eye.studies.columns import UNITS, unit_of
 from taichi_eye.studies.matters import Effect
-from taichi_eye.studies.study import KINDS, Study
+from taichi_eye.studies.study import KINDS, LEVELLED, Study
 
 KEYS_MAX = 8  # columns of the response curves
 SCATTERED = 6, 4  # keys and figures of the scatter matrix, at most
 DOTS = 2000  # eyes that are drawn, at most
 BINS = 12
 GREY = "#8a9199"
+SHORT = "a1", "a2", "hc", "da", "iop", "sp"  # words that stand for others
 
 
 def label(name: str) -> str:
-    """A column in words, with its unit."""
+    """A column in words, with its unit; a key of a scene by its name."""
+    if "." in name:
+        return name
     unit = unit_of(name)
-    if "." in name or not unit:
-        return name.replace("_", " ") if "." not in name else name
-    tail = next(short for short, long in UNITS.items() if long == unit)
-    return f"{name.replace(f'_{tail}', '').replace('_', ' ')}, {unit}"
+    tail = next((short for short, long in UNITS.items() if long == unit), "")
+    words = name.replace(f"_{tail}", "").split("_") if tail else name.split("_")
+    words = [{"biop": "bIOP", "nct": "(NCT)"}.get(w, w.upper() if w in SHORT else w) for w in words]
+    return " ".join(words) + (f", {unit}" if unit else "")
 
 
 def draw(study: Study, frame, found: Sequence[Effect]) -> dict[str, Figure]:
@@ -49,11 +53,13 @@ def write(study: Study, frame, found: Sequence[Effect], summary: dict[str, Any],
     """Write the plots and study.html; the page's path."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of a layout that is tight
-        drawn = draw(study, frame, found)
-        for name, figure in drawn.items():
+        pictures = []
+        for name, figure in draw(study, frame, found).items():
+            data = io.BytesIO()
+            figure.savefig(data, format="png", dpi=110)
             with replacing(folder / name) as temporary:
-                figure.savefig(temporary, dpi=110)
-        pictures = [picture(figure) for figure in drawn.values()]
+                temporary.write_bytes(data.getvalue())
+            pictures.append(embedded(data.getvalue()))
     counts = ", ".join(f"{count} {status}" for status, count in summary["status"].items() if count)
     words = f"{study.kind}: {KINDS[study.kind][0]}. {summary['eyes']} eyes: {counts}."
     parts = [f"<p>{plain(words)}</p>", *pictures]
@@ -119,19 +125,27 @@ def _curve(axes, x: np.ndarray, y: np.ndarray, colour: str, study: Study) -> Non
     if not len(x):
         return
     levels = np.unique(x)
-    if len(levels) == len(x):
+    if len(levels) == len(x) and (study.kind in LEVELLED or len(study.factors) == 1):
         order = np.argsort(x)
         axes.plot(x[order], y[order], "o-", color=colour, markersize=3, linewidth=1.3)
         return
     shown = _some(len(x))
-    axes.plot(x[shown], y[shown], ".", color=colour, alpha=0.25, markersize=3, markeredgewidth=0)
-    if len(levels) <= 2 * BINS:
+    axes.plot(x[shown], y[shown], ".", color=colour, alpha=0.4, markersize=_dot(len(shown)), markeredgewidth=0)
+    bins = min(BINS, len(x) // 6)
+    if bins < 3 and len(levels) > bins:
+        return
+    if len(levels) <= bins:
         at, middle = levels, [np.median(y[x == level]) for level in levels]
     else:
-        edges = np.quantile(x, np.linspace(0.0, 1.0, BINS + 1))
+        edges = np.quantile(x, np.linspace(0.0, 1.0, bins + 1))
         inside = [(x >= low) & (x <= high) for low, high in zip(edges, edges[1:])]
         at, middle = ([np.median(values[one]) for one in inside if one.any()] for values in (x, y))
     axes.plot(at, middle, "-", color="#22262b", linewidth=1.3)
+
+
+def _dot(count: int) -> float:
+    """Size of a dot where there are so many."""
+    return float(np.clip(60.0 / np.sqrt(max(count, 1)), 1.8, 6.0))
 
 
 def _some(count: int) -> np.ndarray:
@@ -147,8 +161,10 @@ def _scatter(frame, keys: Sequence[str], figures: Sequence[str]) -> Figure:
     shown = whole[_some(len(whole))]
     columns = {name: frame[name].to_numpy(dtype=float)[shown] for name in names}
     size = max(4.5, 1.35 * len(names))
-    canvas = Figure(figsize=(size, size), layout="constrained")
+    canvas = Figure(figsize=(size, size))
     grid = canvas.subplots(len(names), len(names), squeeze=False)
+    # a layout that fits itself takes seconds for so many panes
+    canvas.subplots_adjust(0.7 / size, 0.6 / size, 1.0 - 0.1 / size, 1.0 - 0.1 / size, 0.1, 0.1)
     for row, below in enumerate(names):
         for column, across in enumerate(names):
             axes, colour = grid[row, column], COLOURS[0] if below in figures or across in figures else GREY
@@ -192,6 +208,7 @@ def _bars(study: Study, found: Sequence[Effect]) -> Figure:
         place = np.array([keys.index(key) for key in order], dtype=float)
         some = [of_figure[key] for key in order]
         _BARS[study.kind if study.kind in _BARS else "slopes"](axes, place, some)
+        axes.set_axisbelow(True)
         axes.axvline(0.0, color=GREY, linewidth=0.8)
         axes.set_title(label(figure), fontsize=8)
         axes.set_yticks(range(len(keys)), keys, fontsize=7)
