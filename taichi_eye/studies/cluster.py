@@ -15,15 +15,20 @@ no file of the user's is unpickled here or there.
 from __future__ import annotations
 
 import json
+import logging
+import math
+import queue
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 from taichi_eye.errors import OutputError, SceneError
 from taichi_eye.studies.crew import Job, Rows, Worker, answered
 
-PATIENCE_S = 15.0  # to reach the scheduler, and for a first worker
+PATIENCE_S = 10.0  # to reach the scheduler, and for a first worker
 AHEAD = 3  # parcels on their way for each thread of the cluster
+COUNTED_S = 5.0  # seconds between two counts of its threads, which may come and go
 _here = threading.local()
 _workers: list[Worker] = []
 
@@ -60,9 +65,13 @@ class Cluster:
         from distributed import Client
 
         self.scheduler, self.compute = scheduler, compute
+        # what it would log of a scheduler that is lost is said in one message
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        self.client = Client.__new__(Client)
         try:
-            self.client = Client(scheduler, timeout=PATIENCE_S, set_as_default=False)
+            self.client.__init__(scheduler, timeout=PATIENCE_S, set_as_default=False)
         except (OSError, ValueError, TypeError) as problem:
+            self.client.status = "closed"  # else it would wait for the scheduler once more when it is thrown away
             raise SceneError(
                 f"--scheduler {scheduler}: no Dask scheduler answers there ({_first(problem)}); start one with "
                 "`dask scheduler`, and name it as tcp://host:8786"
@@ -105,35 +114,31 @@ class Cluster:
 
         OutputError where the scheduler is lost.
         """
-        from distributed import CancelledError, wait
-        from distributed.client import FutureCancelledError
-
         from taichi_eye.recording.workroom import program
 
-        own, waiting, sent = program(), iter(jobs), {}
+        own, waiting, sent, done = program(), iter(jobs), {}, queue.Queue()
         told = {"program": own, "compute": self.compute, "common": common}
-        more = True
+        more, room, asked = True, 0, -math.inf
         while more or sent:
-            while more and len(sent) < AHEAD * self.threads:
+            if time.monotonic() - asked > COUNTED_S:
+                room, asked = AHEAD * self.threads, time.monotonic()
+            while more and len(sent) < room:
                 job = next(waiting, None)
                 more = job is not None
                 if more:
                     text = json.dumps({**told, "items": list(job[1])})
-                    future = self.client.submit(task, text, pure=False, key=f"parcel-{job[0]}-{id(job)}")
-                    sent[future] = job
+                    future = self.client.submit(task, text, pure=False)
+                    sent[future.key] = future, job
+                    future.add_done_callback(done.put)
             look()
-            if not sent:
-                continue
-            try:
-                done = wait(list(sent), timeout=0.2, return_when="FIRST_COMPLETED").done
-            except TimeoutError:
-                done = set()
-            except (CancelledError, FutureCancelledError, OSError) as problem:
-                raise self._lost(problem) from None
             if self.client.status not in ("running", "connecting"):
-                raise self._lost(self.client.status)
-            for future in done:
-                job = sent.pop(future)
+                raise self._lost(f"its client is {self.client.status}")
+            try:
+                key = done.get(timeout=0.2).key
+            except queue.Empty:
+                continue
+            if key in sent:
+                future, job = sent.pop(key)
                 yield job[0], self._rows(future, job, own)
 
     def _rows(self, future, job: Job, own: str) -> Rows:
