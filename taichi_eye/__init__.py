@@ -6,7 +6,8 @@
     result.traces["apex_displacement_mm"].max()
 
 `resume` goes on with a run that was cut off. `Simulation` is the coupled solver without film and files, `run_batch` the
-same for many scenes at once, `simulation_of` the rung of the ladder that a scene's fidelity asks for.
+same for many scenes at once, `simulation_of` the rung of the ladder that a scene's fidelity asks for. `sweep` runs a
+study: a scene as many eyes, into one table.
 """
 
 from taichi_eye.errors import RunStopped, SceneError  # noqa: E402
@@ -25,6 +26,7 @@ __all__ = [
     "run",
     "run_batch",
     "simulation_of",
+    "sweep",
 ]
 __version__ = "0.1.0"
 
@@ -47,6 +49,10 @@ def __getattr__(name):
         from taichi_eye.ladder.batches import run_batch
 
         return run_batch
+    if name == "sweep":
+        from taichi_eye.studies.sweep import sweep
+
+        return sweep
     if name in ("run", "resume", "RunResult"):
         from taichi_eye import pipeline
 

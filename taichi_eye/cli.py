@@ -1,5 +1,5 @@
-"""The command line: `taichi-eye run SCENE.toml`, `analyze FILM`, `chart SCENE.toml`, and `verify`, `stability`,
-`clinic`, `fit-clinic`, `claims`, `films`, `choices`, `bench`.
+"""The command line: `taichi-eye run SCENE.toml`, `analyze FILM`, `sweep STUDY.toml`, `chart SCENE.toml`, and `verify`,
+`stability`, `clinic`, `fit-clinic`, `claims`, `films`, `choices`, `bench`.
 
 Exit status: 0 done; 1 the run left its validity and was stopped (what was computed so far is in the run folder), or a
 row of `verify`, `films`, `choices` or `bench` does not hold, or a file or standard output could not be written; 2 bad
@@ -14,6 +14,7 @@ from pathlib import Path
 
 from taichi_eye import backend, console
 from taichi_eye.errors import FilmError, OutputError, RunStopped, SceneError
+from taichi_eye.studies import command as sweeps
 
 
 def parser() -> argparse.ArgumentParser:
@@ -44,6 +45,7 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--quiet", action="store_true", help="no progress bar")
     run.set_defaults(do=_run)
     _add_analyze(commands)
+    sweeps.add(commands, _threads)
     studies = (
         "Without --only: optics, reading, damaged and speed, four minutes. Random studies run only when named: "
         "back_edges (300 films, 10 minutes), obstacles (100 films, 7 minutes), mutations (2000 inputs, 14 minutes)."
@@ -176,8 +178,12 @@ def _add_analyze(commands) -> None:
         "histories.csv, edges.npz, overlay.mp4, analysis.png.",
     )
     analyze.add_argument(
-        "film", metavar="FILM|FOLDER|RUN", help="film (mp4, avi, ...), folder of images, or run folder"
+        "film", nargs="+", metavar="FILM|FOLDER|RUN", help="film (mp4, avi, ...), folder of images, or run folder"
     )
+    analyze.add_argument(
+        "--table", metavar="FILE", help="one table of all exams, CSV or Parquet, a row each, in place of folders"
+    )
+    analyze.add_argument("--threads", type=_threads, metavar="N", help="with --table: exams read at a time")
     analyze.add_argument(
         "--out", metavar="DIR", help="results folder, new or empty (default: a new one under renders/)"
     )
@@ -305,10 +311,15 @@ def _prove(given) -> int:
 
 
 def _analyze(given) -> int:
+    if given.table is not None:
+        return sweeps.analyze(given)
+    if len(given.film) > 1:
+        raise SceneError(f"{len(given.film)} exams: name the table that they go into, as in --table all.csv")
     from taichi_eye.analysis import analyze, table
 
-    options = {name: value for name, value in vars(given).items() if name not in ("command", "do", "film", "out")}
-    result = analyze(given.film, given.out, **options)
+    kept = ("command", "do", "film", "out", "table", "threads")
+    options = {name: value for name, value in vars(given).items() if name not in kept}
+    result = analyze(given.film[0], given.out, **options)
     print(table(result))
     for note in result.notes:
         print(f"note: {note}")

@@ -109,6 +109,8 @@ def resume(folder: str | Path, progress: bool = False, threads: int | None = Non
             room.tidy()
             return _finished(folder)
         manifest = room.manifest()
+        if "study" in manifest:
+            raise SceneError(f"{folder}: holds a study, no run; go on with taichi-eye sweep --resume {folder}")
         scene = _scene_of(folder, manifest)
         checkpoint = room.load(scene)
         _refuse_without_encoder()

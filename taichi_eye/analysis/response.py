@@ -32,7 +32,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from taichi_eye.analysis.curves import REST_MS, Curves, smooth
+from taichi_eye.analysis.curves import REST_MS, Curves, seen_alike, smooth
 from taichi_eye.eye.puff import CORVIS_FALL, CORVIS_PEAK_S, CORVIS_RISE
 
 APEX_MM = 0.10  # half width of the mean that is the apex
@@ -44,7 +44,6 @@ ZONE_MM = 3.5  # half width of area and arc length
 FLAT_MM, FLAT_REACH_MM = 0.010, 2.0
 SPEED_MS, SHAPE_MS, TOP_MS = 0.8, 0.7, 1.6  # half widths of the moving polynomials
 MOVED_MM = 0.05
-PARCEL = 512  # times that a moving polynomial is fitted at together
 CORVIS_PEAK_MMHG = 96.4  # Oehring 2021, doi 10.3390/app11062499
 
 
@@ -140,7 +139,6 @@ def histories(curves: Curves, curvature_mm: float = CURVATURE_MM) -> Histories:
     middle, half = 0.5 * (SIDE_MM[0] + SIDE_MM[1]), 0.5 * (SIDE_MM[1] - SIDE_MM[0])
     sides = np.stack([_band(deformation, x, side * middle, half) for side in (-1, 1)])
     whole = _nanmean(sides)
-    curvature = np.array([circle_curvature(x, one, curvature_mm) for one in height])
     return Histories(
         time,
         x,
@@ -149,7 +147,7 @@ def histories(curves: Curves, curvature_mm: float = CURVATURE_MM) -> Histories:
         deformation - whole[:, None],
         apex,
         whole,
-        curvature,
+        circles(x, height, curvature_mm)[0],
         moving(time, apex, time, SPEED_MS, 2, 1),
     )
 
@@ -246,22 +244,27 @@ def moving(
     The window grows where frames are missing until it holds degree + 3 of them. values [frames]; NaN counts as missing.
     """
     good = np.isfinite(values)
-    time, values = time[good], values[good]
+    time, values, at = time[good], values[good], np.asarray(at, dtype=float)
     out = np.full(len(at), np.nan)
     least = degree + 3
     if len(time) < least:
         return out
-    # in parcels, so that a long recording takes little memory
-    for start in range(0, len(at), PARCEL):
-        late = time - np.asarray(at)[start : start + PARCEL, None]
-        distance = np.abs(late)
-        width = np.maximum(half_width, 1.01 * np.partition(distance, least - 1, axis=1)[:, least - 1])[:, None]
-        weight = np.clip(1.0 - (distance / width) ** 2, 0.0, None) ** 2
-        powers = (late / width)[:, :, None] ** np.arange(degree + 1)
-        weighted = powers * weight[:, :, None]
-        fit = np.linalg.solve(weighted.transpose(0, 2, 1) @ powers, weighted.transpose(0, 2, 1) @ values[:, None])
-        out[start : start + PARCEL] = fit[:, derivative, 0] / width[:, 0] ** derivative
-    return out
+    # the nearest frames lie among as many on either side
+    near = np.searchsorted(time, at)[:, None] + np.arange(-least, least)
+    distance = np.where(
+        (near >= 0) & (near < len(time)), np.abs(time[np.clip(near, 0, len(time) - 1)] - at[:, None]), np.inf
+    )
+    width = np.maximum(half_width, 1.01 * np.partition(distance, least - 1, axis=1)[:, least - 1])
+    # only frames within the window count: as many columns as the fullest window has
+    first, last = np.searchsorted(time, at - width), np.searchsorted(time, at + width, side="right")
+    column = first[:, None] + np.arange((last - first).max(initial=1))
+    inside, column = column < last[:, None], np.minimum(column, len(time) - 1)
+    late = (time[column] - at[:, None]) / width[:, None]
+    weight = np.where(inside, np.clip(1.0 - late**2, 0.0, None) ** 2, 0.0)
+    powers = late[:, :, None] ** np.arange(degree + 1)
+    weighted = (powers * weight[:, :, None]).transpose(0, 2, 1)
+    fit = np.linalg.solve(weighted @ powers, weighted @ values[column][:, :, None])
+    return fit[:, derivative, 0] / width**derivative
 
 
 def circle_curvature(x: np.ndarray, height: np.ndarray, half_mm: float = CURVATURE_MM) -> float:
@@ -272,20 +275,33 @@ def circle_curvature(x: np.ndarray, height: np.ndarray, half_mm: float = CURVATU
 def circle(x: np.ndarray, height: np.ndarray, reach: float) -> tuple[float, float]:
     """Curvature [1/mm], convex positive, of the circle through |x| <= reach by least squares, and the rms distance of
     the heights from it [mm]; NaN with gaps."""
+    bend, off = circles(x, height[None], reach)
+    return float(bend[0]), float(off[0])
+
+
+def circles(x: np.ndarray, height: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """`circle` of each of several curves [curves, points]."""
     near = np.abs(x) <= reach
-    z, at = height[near], x[near]
-    good = np.isfinite(z)
-    if good.mean() < 0.9:
-        return np.nan, np.nan
-    z, at = z[good], at[good]
-    bend = 0.0
+    z, at = height[:, near], x[near]
+    seen = np.isfinite(z)
+    bends, offs = np.full((2, len(z)), np.nan)
+    for shape, alike in seen_alike(seen):
+        if shape.mean() >= 0.9:
+            bends[alike], offs[alike] = _circles(at[shape], z[np.ix_(alike, shape)])
+    return bends, offs
+
+
+def _circles(at: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Curvatures and rms distances of curves [curves, points] without gaps."""
+    bend = np.zeros(len(z))
     for _ in range(4):
         # height of a circle of this curvature over its pole
-        sag = at**2 / (1.0 + np.sqrt(np.clip(1.0 - bend**2 * at**2, 0.04, None)))
-        shape = np.column_stack([sag, at, np.ones_like(at)])
-        fit = np.linalg.lstsq(shape, z, rcond=None)[0]
-        bend = -fit[0]
-    return float(bend), float(np.sqrt(np.mean((z - shape @ fit) ** 2)))
+        sag = at**2 / (1.0 + np.sqrt(np.clip(1.0 - bend[:, None] ** 2 * at**2, 0.04, None)))
+        shape = np.stack([sag, np.broadcast_to(at, z.shape), np.ones_like(z)], axis=2)
+        across = shape.transpose(0, 2, 1)
+        fit = np.linalg.solve(across @ shape, across @ z[:, :, None])
+        bend = -fit[:, 0, 0]
+    return bend, np.sqrt(np.mean((z - (shape @ fit)[:, :, 0]) ** 2, axis=1))
 
 
 def _response(found: dict[str, float | None]) -> Response:

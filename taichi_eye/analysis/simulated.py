@@ -8,6 +8,7 @@ whose norms it is held against.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,9 +17,10 @@ from taichi_eye.analysis.curves import Curves, curves_from_wall
 from taichi_eye.analysis.norms import ELDERLY_AGE_YEARS
 from taichi_eye.analysis.response import SPEED_MS, Response, respond
 from taichi_eye.eye.eye import Eye, eye_of
+from taichi_eye.ladder.batches import run_batch
 from taichi_eye.ladder.choose import choose
-from taichi_eye.ladder.trial import run_scene
 from taichi_eye.scene import Scene
+from taichi_eye.solver.batch import Outcome
 from taichi_eye.units import MM, MMHG, MS
 
 FRAMES_LEAST = 30  # fewer show no response
@@ -42,12 +44,14 @@ class Reading:
 
 @dataclass(frozen=True)
 class Observed:
-    """A scene as it was run, its eye, and the curves of its wall; None where there are too few frames of them."""
+    """A scene as it was run, its eye, the curves of its wall (None where there are too few frames of them), and what
+    became of the run."""
 
     scene: Scene
     eye: Eye
     curves: Curves | None
     stopped: str = ""
+    outcome: Outcome | None = None
 
     def read(self, **windows) -> Reading:
         """The response; windows: those of `respond` that are not its defaults."""
@@ -70,18 +74,27 @@ def response_of(scene: Scene) -> Reading:
 
 def observe(scene: Scene) -> Observed:
     """Run a resolved scene without a film and keep the curves of its wall."""
-    if scene.numerics.fidelity == "auto":
-        scene = choose(scene).scene
-    times, walls, eye = [], [], eye_of(scene)
+    return observe_many([scene])[0]
 
-    def keep(run, frame):
-        wall = run.cornea.place.to_numpy()[: run.wall_count] / MM
-        times.append(run.time_ms)
-        walls.append(wall - [0.0, float(eye.retreat(run.time_ms * MS)) / MM])
 
-    stop = run_scene(scene, on_frame=keep).stop
-    stopped = f"{stop.what}, {stop.time_ms:.1f} ms" if stop else ""
-    if len(times) < FRAMES_LEAST:
-        return Observed(scene, eye, None, stopped or "too few frames")
-    r, z = np.moveaxis(np.array(walls), 2, 0)
-    return Observed(scene, eye, curves_from_wall(np.array(times), r, z, scene.cornea.thickness_mm), stopped)
+def observe_many(scenes: Sequence[Scene]) -> list[Observed]:
+    """The same for several scenes, those of the full model side by side (`taichi_eye.ladder.batches`)."""
+    scenes = [choose(scene).scene if scene.numerics.fidelity == "auto" else scene for scene in scenes]
+    eyes = [eye_of(scene) for scene in scenes]
+    times: list[list[float]] = [[] for _ in scenes]
+    walls: list[list[np.ndarray]] = [[] for _ in scenes]
+
+    def keep(number, time_ms, wall):
+        times[number].append(time_ms)
+        walls[number].append(wall - [0.0, float(eyes[number].retreat(time_ms * MS)) / MM])
+
+    found = []
+    for number, outcome in enumerate(run_batch(scenes, on_frame=keep)):
+        scene, stop = scenes[number], outcome.stop
+        stopped = f"{stop.what}, {stop.time_ms:.1f} ms" if stop else ""
+        curves = None
+        if len(times[number]) >= FRAMES_LEAST:
+            r, z = np.moveaxis(np.array(walls[number]), 2, 0)
+            curves = curves_from_wall(np.array(times[number]), r, z, scene.cornea.thickness_mm)
+        found.append(Observed(scene, eyes[number], curves, stopped or ("" if curves else "too few frames"), outcome))
+    return found

@@ -11,7 +11,7 @@ import ast
 import hashlib
 import time
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,25 +19,40 @@ from tqdm import tqdm
 
 from taichi_eye.errors import RunStopped, SceneError
 from taichi_eye.ladder.choose import choose
-from taichi_eye.ladder.trial import run_scene
+from taichi_eye.ladder.rungs import simulation_of
+from taichi_eye.ladder.trial import run_to_stop
 from taichi_eye.report.folder import replacing
 from taichi_eye.scene import Scene, dump_scene
 from taichi_eye.solver.batch import Batch, Outcome
 from taichi_eye.solver.case import clouds_of
+from taichi_eye.solver.reduced import Reduced
+from taichi_eye.units import MM
 
 AT_ONCE = 2**18  # nodes held in memory, some 3 kB each
 KEEP_S = 30.0  # seconds between two states kept; a state of 100 small eyes is some 40 MB
 BAR = "{desc}{percentage:3.0f}%|{bar}| {n:.0f}/{total:.0f} ms [{elapsed}<{remaining}]"
 
 
-def run_batch(scenes: Sequence[Scene], progress: bool = False, keep: str | Path | None = None) -> list[Outcome]:
+OnFrame = Callable[[int, float, np.ndarray], None]
+
+
+def run_batch(
+    scenes: Sequence[Scene],
+    progress: bool = False,
+    keep: str | Path | None = None,
+    on_frame: OnFrame | None = None,
+) -> list[Outcome]:
     """Run scenes; what became of each, in their order.
 
     Scenes may differ in everything. An eye that leaves its validity stops alone and keeps its traces up to there. keep:
     a file that an earlier call with the same scenes left when it was cut off, or that this one is to leave; it is
-    removed at the end. progress: a bar on the terminal. Raises SceneError where a chamber cannot be filled, its
-    stencils are no good, or the file is of other scenes.
+    removed at the end. progress: a bar on the terminal. on_frame(number of the scene, time_ms, wall): called once for
+    each film frame that an eye reaches, those of one eye in order, with the places (r, z) of its wall's nodes [mm];
+    frames are not kept in a file, so not with keep. Raises SceneError where a chamber cannot be filled, its stencils
+    are no good, or the file is of other scenes.
     """
+    if keep is not None and on_frame is not None:
+        raise ValueError("frames are not kept in a file: leave out keep or on_frame")
     kept = _Kept(Path(keep), scenes) if keep is not None else None
     outcomes: list[Outcome | None] = kept.outcomes() if kept else [None] * len(scenes)
     full = [k for k, scene in enumerate(scenes) if scene.numerics.fidelity == "mfpm"]
@@ -54,9 +69,7 @@ def run_batch(scenes: Sequence[Scene], progress: bool = False, keep: str | Path 
         bar.update(sum(scene.numerics.duration_ms for scene, done in zip(scenes, outcomes) if done is not None))
         for k, scene in enumerate(scenes):
             if outcomes[k] is None and k not in clouds:
-                decided = choose(scene).scene if scene.numerics.fidelity == "auto" else scene
-                trial = run_scene(decided)
-                outcomes[k] = Outcome(scene, trial.traces, trial.stop)
+                outcomes[k] = _alone(k, scene, on_frame)
                 bar.update(scene.numerics.duration_ms)
         for chosen in _parcels(scenes, clouds):
             if all(outcomes[k] is not None for k in chosen):
@@ -70,6 +83,8 @@ def run_batch(scenes: Sequence[Scene], progress: bool = False, keep: str | Path 
                 bar.update(before + float(((batch.recorded - 1) * batch.sample_ms).sum()) - bar.n)
                 if kept:
                     kept.hold(outcomes, batch, chosen)
+                if on_frame:
+                    _show(batch, chosen, on_frame)
 
             for k, outcome in zip(chosen, batch.run(look)):
                 outcomes[k] = outcome
@@ -79,6 +94,37 @@ def run_batch(scenes: Sequence[Scene], progress: bool = False, keep: str | Path 
     if kept:
         kept.path.unlink(missing_ok=True)
     return outcomes
+
+
+def _alone(number: int, scene: Scene, on_frame: OnFrame | None) -> Outcome:
+    """What becomes of a scene that runs alone: one of a reduced rung, or one that has to be decided."""
+    decided = choose(scene).scene if scene.numerics.fidelity == "auto" else scene
+    simulation = simulation_of(decided)
+    if on_frame is None or not isinstance(simulation, Reduced):
+        show = on_frame and (lambda run, _: on_frame(number, run.time_ms, _wall_mm(run.cornea, 0, run.wall_count)))
+        stop = run_to_stop(simulation, show)
+        return Outcome(scene, simulation.traces, stop)
+    # a reduced rung keeps its frames: to ask for them afterwards spares it a stop at each
+    stop = run_to_stop(simulation)
+    for time_ms, wall in zip(*simulation.wall_mm):
+        on_frame(number, float(time_ms), wall)
+    return Outcome(scene, simulation.traces, stop)
+
+
+def _show(batch: Batch, chosen: list[int], on_frame: OnFrame) -> None:
+    """Hand on the walls of the eyes that have just reached a film frame."""
+    frames = [clock.frame_of(batch.sample) for clock in batch.clocks]
+    there = [eye for eye, frame in enumerate(frames) if frame is not None and batch.recorded[eye] == batch.sample + 1]
+    if there:
+        places = batch.cornea.place.to_numpy() / MM
+        for eye in there:
+            first = int(batch.first[eye])
+            wall = places[first : first + batch.clouds[eye].wall_count].copy()
+            on_frame(chosen[eye], float(batch.sample * batch.sample_ms[eye]), wall)
+
+
+def _wall_mm(cornea, first: int, count: int) -> np.ndarray:
+    return cornea.place.to_numpy()[first : first + count] / MM
 
 
 def _parcels(scenes, clouds) -> Iterator[list[int]]:

@@ -56,7 +56,12 @@ def picture(canvas: Figure) -> str:
     """The figure as an HTML element."""
     data = io.BytesIO()
     canvas.savefig(data, format="png")
-    return f'<figure><img alt="" src="data:image/png;base64,{base64.b64encode(data.getvalue()).decode()}"></figure>'
+    return embedded(data.getvalue())
+
+
+def embedded(png: bytes) -> str:
+    """A picture that is drawn already, as an HTML element."""
+    return f'<figure><img alt="" src="data:image/png;base64,{base64.b64encode(png).decode()}"></figure>'
 
 
 def table(head, body, failed=()) -> str:

@@ -40,6 +40,7 @@ def clouds_of(scenes) -> list[Cloud]:
             try:
                 packed[key] = pack(*key)
             except SceneError as problem:
-                raise SceneError(f"scene {number} of the batch: {problem}") from None
+                which = f"scene {number} of the batch: " if len(scenes) > 1 else ""
+                raise SceneError(f"{which}{problem}") from None
         clouds.append(packed[key])
     return clouds

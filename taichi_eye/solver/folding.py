@@ -29,10 +29,12 @@ stress is where looking begins.
 """
 
 import numpy as np
+from scipy.linalg.lapack import dpbtrf
 
 from taichi_eye.eye.eye import Eye
 
 LOBES = tuple(range(2, 17))
+BAND = 3  # nodes that a node's bending is felt by: itself and the next two
 
 
 class Folding:
@@ -56,7 +58,6 @@ class Folding:
         for c in range(3):
             self.mean[:, c, c] = self.mean[:, c, 3 + c] = 0.5
             self.slope[:, c, c], self.slope[:, c, 3 + c] = -1.0 / self.length, 1.0 / self.length
-        self.dofs = 3 * np.arange(n)[:, None] + np.arange(6)
 
     @classmethod
     def of(cls, eye: Eye, rest) -> "Folding":
@@ -82,35 +83,31 @@ class Folding:
         """
         if not (np.isfinite(place).all() and np.isfinite(pressure).all()):
             return None
-        forms = self.forms(place, pressure, lobes)
-        try:
-            np.linalg.cholesky(forms)
-        except np.linalg.LinAlgError:
-            for m, form in zip(lobes, forms):
-                try:
-                    np.linalg.cholesky(form)
-                except np.linalg.LinAlgError:
-                    return m
+        # a band's Cholesky factor is there where the form is positive definite
+        for m, band in zip(lobes, self._bands(place, pressure, np.array(lobes))):
+            if dpbtrf(band, lower=True)[1] != 0:
+                return m
         return None
 
-    def forms(self, place, pressure, lobes=LOBES) -> np.ndarray:
-        """`form` for every number of lobes, stacked: of the fourth degree in it, so five of them give all."""
-        nodes = np.linspace(lobes[0], lobes[-1], 5)
-        known = np.stack([self.form(place, pressure, m) for m in nodes])
-        powers = lambda m: (np.asarray(m, dtype=float)[:, None] / lobes[-1]) ** np.arange(5)
-        return np.tensordot(powers(lobes) @ np.linalg.inv(powers(nodes)), known, 1)
-
-    def form(self, place, pressure, m: float) -> np.ndarray:
+    def form(self, place, pressure, m: int) -> np.ndarray:
         """The quadratic form [J/m^2 over pi/2] of the free nodes, (rho, tau, zeta) node by node; symmetric."""
-        n = len(self.length)
-        whole = np.zeros((3 * (n + 1), 3 * (n + 1)))
-        parts = self._membrane(place, m) + self._tilting(place, m) - self._follower(place, pressure, m)
-        np.add.at(whole, (self.dofs[:, :, None], self.dofs[:, None, :]), parts)
-        whole += self._bending(place, m)
-        free = slice(3, 3 * n)
-        return whole[free, free]
+        band = self._bands(place, pressure, np.array([m]))[0]
+        size = band.shape[1]
+        lower = sum(np.diag(row[: size - k], -k) for k, row in enumerate(band) if k < size)
+        return lower + np.tril(lower, -1).T
 
-    def _terms(self, place, m):
+    def _bands(self, place, pressure, m: np.ndarray) -> np.ndarray:
+        """Lower bands of the forms for several m: [m, k, j] is the entry in row j + k of column j."""
+        n, m = len(self.length), m[:, None, None].astype(float)
+        band = np.zeros((len(m), 3 * BAND, 3 * (n + 1)))
+        of_elements = self._membrane(place, m) + self._tilting(place, m) + self._follower(place, pressure, m)
+        _put(band, _gram(of_elements))
+        _put(band, _gram(self._bending(place, m)))
+        return band[:, :, 3 : 3 * n]
+
+    # each part of the energy as terms (weight, a, b): the sum of weight * a * b, a and b linear in the dofs
+
+    def _terms(self, place):
         shift = np.diff(place, axis=0) / self.length[:, None]
         return (
             shift[:, 0, None],
@@ -120,7 +117,7 @@ class Folding:
         )
 
     def _membrane(self, place, m):
-        rp, zp, r, (rho, tau, zeta) = self._terms(place, m)
+        rp, zp, r, (rho, tau, zeta) = self._terms(place)
         drho, dtau, dzeta = self.slope.swapaxes(0, 1)
         r0 = self.radius[:, None]
         e1 = 0.5 * ((rp**2 + zp**2)[:, 0] - 1.0) + self.prestrain
@@ -132,17 +129,18 @@ class Folding:
         shear = (r * dtau - rp * (m * rho + tau) - m * zp * zeta) / r0
         turned = [(m * rho + tau) / r0, (rho + m * tau) / r0, m * zeta / r0]
         weight = 2.0 * self.thickness * self.radius * self.length
-        total = _sum(c11, along, along) + _sum(c22, hoop, hoop) + _sum(c66, shear, shear)
-        total += _sum(c12, along, hoop) + _sum(c12, hoop, along)
-        for vector in (drho, dtau, dzeta):
-            total += _sum(s1, vector, vector)
-        for vector in turned:
-            total += _sum(s2, vector, vector)
-        return weight[:, None, None] * total
+        return [
+            (weight * c11, along, along),
+            (weight * c22, hoop, hoop),
+            (weight * c66, shear, shear),
+            (2.0 * weight * c12, along, hoop),
+            *((weight * s1, vector, vector) for vector in (drho, dtau, dzeta)),
+            *((weight * s2, vector, vector) for vector in turned),
+        ]
 
     def _tilting(self, place, m):
         # the normal turns by a_s along the meridian and by a_m around the axis; the sections stay as they were at rest
-        rp, zp, r, (rho, tau, zeta) = self._terms(place, m)
+        rp, zp, r, (rho, tau, zeta) = self._terms(place)
         drho, dtau, dzeta = self.slope.swapaxes(0, 1)
         stretch = np.hypot(rp, zp)
         nr, nz = -zp / stretch, rp / stretch
@@ -152,41 +150,63 @@ class Folding:
         tilt = np.arctan2(-zp, rp)[:, 0] - np.arctan2(-edge[:, 1], edge[:, 0])
         slant = 1.0 / np.cos(tilt) ** 2
         weight = 2.0 * self.shear * self.radius * self.length * slant
-        total = _sum(weight * (3.0 * slant - 2.0), along, along) + _sum(weight, around, around)
-        # the second order of the normal's turn, on which the shear at hand works
-        mixed = _sum(weight * np.tan(tilt), (nz * drho - nr * dzeta) / stretch, along)
-        mixed -= _sum(weight * np.tan(tilt), dtau / stretch, around)
-        return total + mixed + mixed.swapaxes(1, 2)
+        slide = 2.0 * weight * np.tan(tilt)
+        return [
+            (weight * (3.0 * slant - 2.0), along, along),
+            (weight, around, around),
+            # the second order of the normal's turn, on which the shear at hand works
+            (slide, (nz * drho - nr * dzeta) / stretch, along),
+            (-slide, dtau / stretch, around),
+        ]
 
     def _follower(self, place, pressure, m):
-        # dx . dN, N = x_S x x_phi, symmetrised
-        rp, zp, r, (rho, tau, zeta) = self._terms(place, m)
+        # less dx . dN, N = x_S x x_phi
+        rp, zp, r, (rho, tau, zeta) = self._terms(place)
         drho, _, dzeta = self.slope.swapaxes(0, 1)
-        weight = (pressure[1:] + pressure[:-1]) * self.length
-        total = _sum(weight, rho, -r * dzeta - zp * (rho + m * tau))
-        total += _sum(weight, tau, m * rp * zeta - zp * (m * rho + tau))
-        total += _sum(weight, zeta, r * drho + rp * (rho + m * tau))
-        return 0.5 * (total + total.swapaxes(1, 2))
+        weight = -(pressure[1:] + pressure[:-1]) * self.length
+        return [
+            (weight, rho, -r * dzeta - zp * (rho + m * tau)),
+            (weight, tau, m * rp * zeta - zp * (m * rho + tau)),
+            (weight, zeta, r * drho + rp * (rho + m * tau)),
+        ]
 
     def _bending(self, place, m):
+        # of each inner node, over its own dofs and those of its neighbours
         n, nu = len(self.length), self.nu
         step = np.linalg.norm(np.diff(place, axis=0), axis=1)
         before, after = step[:-1, None], step[1:, None]
         chord = place[2:] - place[:-2]
-        normal = np.zeros((n + 1, 3 * (n + 1)))
-        inner = np.arange(1, n)
-        size = np.linalg.norm(chord, axis=1)
-        normal[inner, 3 * inner], normal[inner, 3 * inner + 2] = -chord[:, 1] / size, chord[:, 0] / size
-        r, here = place[1:-1, 0, None], normal[1:-1]
+        # displacement along the normal of the node before, the node and the node after; rim and apex are held
+        normal = np.zeros((n + 1, 3))
+        normal[1:-1, [0, 2]] = np.column_stack([-chord[:, 1], chord[:, 0]]) / np.linalg.norm(chord, axis=1)[:, None]
+        behind, here, ahead = (np.zeros((n - 1, 3 * 3)) for _ in range(3))
+        behind[:, :3], here[:, 3:6], ahead[:, 6:] = normal[:-2], normal[1:-1], normal[2:]
+        r = place[1:-1, 0, None]
         rise = chord[:, 0, None] / (before + after)
-        first = (normal[2:] - normal[:-2]) / (before + after)
-        second = 2.0 * ((normal[2:] - here) / after - (here - normal[:-2]) / before) / (before + after)
+        first = (ahead - behind) / (before + after)
+        second = 2.0 * ((ahead - here) / after - (here - behind) / before) / (before + after)
         along, hoop, twist = -second, m * m * here / r**2 - rise * first / r, m * (first / r - rise * here / r**2)
-        weight = (0.5 * (self.rigidity[1:] + self.rigidity[:-1]) * place[1:-1, 0] * (before + after)[:, 0])[:, None]
-        total = (along * weight).T @ along + (hoop * weight).T @ hoop + 2.0 * (1.0 - nu) * (twist * weight).T @ twist
-        mixed = nu * (along * weight).T @ hoop
-        return total + mixed + mixed.T
+        weight = 0.5 * (self.rigidity[1:] + self.rigidity[:-1]) * place[1:-1, 0] * (before + after)[:, 0]
+        return [
+            (weight, along, along),
+            (weight, hoop, hoop),
+            (2.0 * (1.0 - nu) * weight, twist, twist),
+            (2.0 * nu * weight, along, hoop),
+        ]
 
 
-def _sum(weight, a, b):
-    return weight[:, None, None] * a[:, :, None] * b[:, None, :]
+def _gram(terms) -> np.ndarray:
+    """The symmetric form that terms (weight [rows], a, b [rows, dofs] or [m, rows, dofs]) add up to, for every m."""
+    shape = np.broadcast_shapes(*(vector.shape for _, *pair in terms for vector in pair))
+    left = np.stack([np.broadcast_to(weight[:, None] * a, shape) for weight, a, _ in terms], axis=-1)
+    right = np.stack([np.broadcast_to(b, shape) for _, _, b in terms], axis=-2)
+    total = left @ right
+    return 0.5 * (total + total.swapaxes(-1, -2))
+
+
+def _put(band: np.ndarray, parts: np.ndarray) -> None:
+    """Add forms [m, rows, dofs, dofs], the first dof of row i being 3 i, to the bands."""
+    rows, dofs = parts.shape[1:3]
+    for a in range(dofs):
+        for b in range(a + 1):
+            band[:, a - b, b : b + 3 * rows : 3] += parts[:, :, a, b]

@@ -1,0 +1,109 @@
+"""`taichi-eye sweep STUDY.toml`, and `taichi-eye analyze A.avi B.avi ... --table all.csv`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+from pathlib import Path
+
+from taichi_eye.errors import SceneError
+
+SUFFIXES = ".csv", ".parquet"
+
+
+def add(commands, threads) -> None:
+    """The parser of `sweep`; threads: the type of its --threads."""
+    parser = commands.add_parser(
+        "sweep",
+        help="a study: one scene as many eyes, on this machine or a Dask cluster",
+        description="Run a study: draw eyes from a design over keys of a scene, compute all of them, and write one "
+        "table: table.parquet, table.csv, columns.csv, plots, study.html. A study that was cut off goes on with "
+        "--resume.",
+        epilog="Ready studies: configs/studies/. How one is written: python -m pydoc taichi_eye.studies.study",
+    )
+    parser.add_argument("study", nargs="?", help="study file (TOML)")
+    parser.add_argument(
+        "--set",
+        dest="overrides",
+        metavar="SECTION.KEY=VALUE",
+        action="append",
+        default=[],
+        help="override a key of the study's scene; may be repeated",
+    )
+    parser.add_argument("--out", metavar="DIR", help="folder of the study, new or empty (default: under renders/)")
+    parser.add_argument(
+        "--resume",
+        metavar="DIR",
+        help="go on with the study in this folder; only --scheduler, --threads and --quiet may stand with it",
+    )
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers compute, as in tcp://host:8786"
+    )
+    parser.add_argument("--threads", type=threads, metavar="N", help="CPU threads of this machine (default: all)")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser.set_defaults(do=run)
+
+
+def run(given: argparse.Namespace) -> int:
+    """`taichi-eye sweep`; the exit status."""
+    from taichi_eye.studies.sweep import resume, sweep
+
+    options = {"scheduler": given.scheduler, "threads": given.threads, "progress": not given.quiet}
+    if given.scheduler and given.threads:
+        raise SceneError(
+            f"--threads {given.threads}: are those of this machine; with --scheduler the workers say theirs"
+        )
+    try:
+        if given.resume is not None:
+            others = {"a study": given.study, "--set": given.overrides, "--out": given.out}
+            if beside := [name for name, value in others.items() if value]:
+                raise SceneError(
+                    f"--resume {given.resume}: goes on as the study began, so leave out {', '.join(beside)}"
+                )
+            result = resume(given.resume, **options)
+        elif given.study is None:
+            raise SceneError("sweep needs a study file, as in taichi-eye sweep configs/studies/iop_chart.toml")
+        else:
+            result = sweep(given.study, given.out, overrides=given.overrides, **options)
+    except KeyboardInterrupt as reason:
+        folder = getattr(reason, "folder", None)
+        told = f"; the eyes that are finished are in {folder}, go on with: taichi-eye sweep --resume {folder}"
+        print(f"taichi-eye: {str(reason) or 'interrupted'}{told if folder else ''}", file=sys.stderr)
+        return 128 + getattr(reason, "number", signal.SIGINT)
+    if result.finished_before:
+        print(f"{result.folder}: this study was finished already")
+    status, took = result.summary["status"], result.summary["wall_clock"]
+    for reason, eyes in result.summary["reasons"].items():
+        print(f"{eyes} eye{'s' * (eyes > 1)}: {reason}")
+    counts = ", ".join(f"{eyes} {name}" for name, eyes in status.items() if eyes)
+    print(f"{result.folder}: {result.summary['eyes']} eyes ({counts}), {took['compute_s']:.1f} s")
+    return 0 if status["complete"] else 1
+
+
+def refuse_bad_table(path: str) -> None:
+    """SceneError where `--table` names no table that can be written, said before the minutes of work it would hold."""
+    table = Path(path)
+    if table.suffix.lower() not in SUFFIXES:
+        raise SceneError(f"--table {path}: must end in {' or '.join(SUFFIXES)}")
+    if table.is_dir() or not table.parent.is_dir() or not os.access(table.parent, os.W_OK):
+        raise SceneError(f"--table {path}: cannot be written; name a file in an existing folder that may be written")
+
+
+def analyze(given: argparse.Namespace) -> int:
+    """`taichi-eye analyze` with a table of several exams; the exit status."""
+    from taichi_eye.studies.exams import measure_all
+
+    refuse_bad_table(given.table)
+    if given.out is not None:
+        raise SceneError("--out: several exams go into one table and no folders; leave out --out or --table")
+    kept = ("command", "do", "film", "out", "table", "threads")
+    options = {name: value for name, value in vars(given).items() if name not in kept and value is not None}
+    counts, first = measure_all(given.film, Path(given.table), options, given.threads, progress=True)
+    if not counts["complete"]:
+        print(f"taichi-eye: none of {len(given.film)} exams could be read; the first: {first}", file=sys.stderr)
+        return 2
+    said = ", ".join(f"{number} {status}" for status, number in counts.items() if number)
+    print(f"{given.table}: {len(given.film)} exams ({said})")
+    return 0
