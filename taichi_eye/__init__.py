@@ -1,19 +1,20 @@
 """taichi_eye: mesh-free simulation of the ophthalmic air-puff test, and its film.
 
     import taichi_eye
-    scene = taichi_eye.load_scene("configs/quick.toml", ["eye.iop_mmhg=20"])
+    scene = taichi_eye.load_scene("quick", ["eye.iop_mmhg=20"])
     result = taichi_eye.run(scene, out="renders/iop20")
     result.traces["apex_displacement_mm"].max()
 
 `resume` goes on with a run that was cut off. `Simulation` is the coupled solver without film and files, `run_batch` the
 same for many scenes at once, `simulation_of` the rung of the ladder that a scene's fidelity asks for. `sweep` runs a
-study: a scene as many eyes, into one table.
+study: a scene as many eyes, into one table. `PointCloud` is the mesh-free operators on points of your own.
 """
 
 from taichi_eye.errors import RunStopped, SceneError  # noqa: E402
 from taichi_eye.scene import Scene, dump_scene, load_scene  # noqa: E402
 
 __all__ = [
+    "PointCloud",
     "RunResult",
     "RunStopped",
     "Scene",
@@ -41,6 +42,10 @@ def __getattr__(name):
         from taichi_eye.solver.simulation import Simulation
 
         return Simulation
+    if name == "PointCloud":
+        from taichi_eye.mfpm.points import PointCloud
+
+        return PointCloud
     if name == "simulation_of":
         from taichi_eye.ladder.rungs import simulation_of
 

@@ -1,5 +1,6 @@
-"""The command line: `taichi-eye run SCENE.toml`, `analyze FILM`, `sweep STUDY.toml`, `chart SCENE.toml`, and `verify`,
-`stability`, `clinic`, `fit-clinic`, `claims`, `films`, `choices`, `bench`.
+"""The command line: `taichi-eye run SCENE`, `scene`, `analyze FILM`, `sweep STUDY`, `docs PAGE`, and the proofs, `check
+NAME`: `verify`, `stability`, `chart`, `choices`, `claims`, `films`, `clinic`, `fit-clinic`, `bench`, each a command by
+itself as well. Every command is a thin call of a public function; arguments that several share are in `options`.
 
 Exit status: 0 done; 1 the run left its validity and was stopped (what was computed so far is in the run folder), or a
 row of `verify`, `films`, `choices` or `bench` does not hold, or a file or standard output could not be written; 2 bad
@@ -10,162 +11,224 @@ import argparse
 import os
 import signal
 import sys
+from importlib import import_module
 from pathlib import Path
 
-from taichi_eye import backend, console
+from taichi_eye import backend, console, docs, options, provenance, shipped
 from taichi_eye.errors import FilmError, OutputError, RunStopped, SceneError
 from taichi_eye.studies import command as sweeps
 
 
 def parser() -> argparse.ArgumentParser:
     """The argument parser of `taichi-eye`."""
-    top = argparse.ArgumentParser(prog="taichi-eye", description="Mesh-free simulation and film of the air-puff test.")
-    commands = top.add_subparsers(dest="command", required=True)
+    top = options.Command(
+        prog="taichi-eye",
+        description="Mesh-free simulation and film of the ophthalmic air-puff test.",
+        epilog="What is checked can be asked for without `check` as well: taichi-eye verify.",
+        examples=("taichi-eye run quick", "taichi-eye docs", "taichi-eye run --help"),
+    )
+    top.add_argument("--version", action=Show, const=_versions, help="print versions and exit")
+    top.add_argument("--cite", action=Show, const=_citation, help="print how to cite, as BibTeX, and exit")
+    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    _add_run(commands)
+    _add_scene(commands)
+    _add_analyze(commands)
+    sweeps.add(commands)
+    _add_docs(commands)
+    check = commands.add_parser(
+        "check",
+        help="prove and measure: verify, stability, chart, choices, claims, films, clinic, fit-clinic, bench",
+        description="The proofs: each runs the program against what is known and writes a table and a page.",
+        examples=("taichi-eye check verify --only squeeze", "taichi-eye check films --json films.json"),
+    )
+    _add_checks(check.add_subparsers(dest="command", required=True, metavar="NAME"), listed=True)
+    _add_checks(commands, listed=False)
+    return top
+
+
+class Show(argparse.Action):
+    """Print what a function says, and end."""
+
+    def __init__(self, *given, **settings):
+        super().__init__(*given, nargs=0, **settings)
+
+    def __call__(self, parser, *_):
+        print(self.const())
+        parser.exit()
+
+
+def _versions() -> str:
+    from taichi_eye.provenance import versions
+
+    return versions()
+
+
+def _citation() -> str:
+    from taichi_eye.citation import bibtex
+
+    return bibtex()
+
+
+def _add_run(commands) -> None:
     run = commands.add_parser(
         "run",
         help="simulate a scene and film it into a run folder",
         description="Simulate a scene and film it into a run folder: film.mp4, apex.png, "
         "sheet.png, traces.csv, summary.json, scene.toml.",
+        examples=(
+            "taichi-eye run quick",
+            "taichi-eye run seed --set eye.iop_mmhg=25 --set cornea.thickness_mm=0.6",
+            "taichi-eye run my.toml --compare measured.csv --out renders/mine",
+            "taichi-eye run --resume renders/seed-001",
+        ),
     )
-    _take_scene(run)
-    run.add_argument("--out", metavar="DIR", help="run folder, new or empty (default: a new one under renders/)")
-    run.add_argument(
-        "--resume",
-        metavar="DIR",
-        help="go on with the run in this folder, which was cut off; only --threads and --quiet may stand with it",
+    options.take(
+        run,
+        "scene?",
+        "set",
+        "out",
+        "resume",
+        out="run folder, new or empty (default: a new one under renders/)",
+        resume="go on with the run in this folder, which was cut off; only --threads and --quiet may stand with it",
     )
     run.add_argument(
         "--compare",
         metavar="CSV",
         help="measured history to draw into apex.png: columns time_ms and apex_displacement_mm or deflection_mm",
     )
-    run.add_argument("--arch", choices=backend.ARCHES, help="Taichi backend (default: cpu)")
-    run.add_argument("--precision", choices=backend.PRECISIONS, help="default: f64")
-    run.add_argument("--threads", type=_threads, metavar="N", help="CPU threads (default: all)")
-    run.add_argument("--quiet", action="store_true", help="no progress bar")
+    options.take(run, "arch", "precision", "threads", "quiet")
     run.set_defaults(do=_run)
-    _add_analyze(commands)
-    sweeps.add(commands, _threads)
-    studies = (
+
+
+def _add_scene(commands) -> None:
+    scene = commands.add_parser(
+        "scene",
+        help="print a scene with every key, to edit and run",
+        description="Print a scene file with every key, its unit, range and meaning; what is computed from other keys "
+        "stands as auto.",
+        examples=("taichi-eye scene > my.toml", "taichi-eye scene seed --set eye.iop_mmhg=20 > iop20.toml"),
+    )
+    options.take(scene, "scene?", "set")
+    scene.set_defaults(do=_scene)
+
+
+def _add_docs(commands) -> None:
+    pages = commands.add_parser(
+        "docs",
+        help="print a page of the guide; without a name, the list of pages",
+        description="Print a page of the guide, Markdown text, or the list of pages.",
+        examples=("taichi-eye docs", "taichi-eye docs keys"),
+    )
+    pages.add_argument("page", nargs="?", metavar="NAME", help="a page of the list")
+    pages.set_defaults(do=_docs)
+
+
+def _add_checks(commands, listed: bool) -> None:
+    """The proofs; listed: whether the help of `commands` names them."""
+
+    def add(name: str, help: str, **settings):
+        shown = {"help": help} if listed else {}
+        return commands.add_parser(name, **shown, **{"description": help[:1].upper() + help[1:] + "."} | settings)
+
+    films = (
         "Without --only: optics, reading, damaged and speed, four minutes. Random studies run only when named: "
         "back_edges (300 films, 10 minutes), obstacles (100 films, 7 minutes), mutations (2000 inputs, 14 minutes)."
     )
-    for name, what in (
-        ("verify", "compare the solver's kernels with exact answers"),
-        ("stability", "map where the methods fail, with the theory drawn on"),
-        ("films", "hold rendered frames against the instrument's, and their reading against the eyes filmed"),
-        ("choices", 'put fidelity = "auto" to varied scenes: its true error and its cost'),
-        ("bench", "measure how fast it is, each figure beside what is asked of it"),
+    for name, what, part, bar in (
+        ("verify", "compare the solver's kernels with exact answers", "squeeze", False),
+        ("stability", "map where the methods fail, with the theory drawn on", "time-step", False),
+        ("films", "hold rendered frames against the instrument's, and their reading against the eyes", "optics", True),
+        ("choices", 'put fidelity = "auto" to varied scenes: its true error and its cost', "short-puff", True),
+        ("bench", "measure how fast it is, each figure beside what is asked of it", "startup", True),
     ):
-        proof = commands.add_parser(
+        proof = add(
             name,
-            help=what,
+            what,
             description=f"{what.capitalize()}; writes one table and one page.",
-            epilog=studies if name == "films" else None,
+            epilog=films if name == "films" else None,
+            parts=lambda name=name: _proof(name).PARTS,
+            examples=(f"taichi-eye check {name}", f"taichi-eye check {name} --only {part} --json {name}.json"),
         )
-        proof.add_argument(
-            "--only", metavar="NAME", action="append", default=[], help="one part of it; may be repeated"
-        )
-        proof.add_argument("--json", metavar="FILE", help="the figures as JSON")
-        proof.add_argument("--out", metavar="DIR", help="folder of the page, new or empty (default: under renders/)")
-        proof.add_argument("--threads", type=_threads, metavar="N", help="CPU threads (default: all)")
+        options.take(proof, "only", "json", "out", "threads", *(["quiet"] if bar else []))
         proof.set_defaults(do=_prove)
-    clinic = commands.add_parser(
+    clinic = add(
         "clinic",
-        help="what a clinician would measure on a scene's eye, beside living eyes",
+        "what a clinician would measure on a scene's eye, beside living eyes",
         description="Run a scene without a film, at other IOPs and thicknesses, and without each of its switches; "
         "levels, slopes and public tables of living eyes beside it: clinic.html and clinic.png.",
+        examples=(
+            "taichi-eye check clinic corvis_healthy",
+            "taichi-eye check clinic my.toml --healthy corvis_healthy --json mine.json",
+        ),
     )
-    clinic.add_argument("scene", help="scene file (TOML)")
-    clinic.add_argument(
-        "--set",
-        dest="overrides",
-        metavar="SECTION.KEY=VALUE",
-        action="append",
-        default=[],
-        help="override a key of the scene; may be repeated",
-    )
+    options.take(clinic, "scene", "set")
     clinic.add_argument(
         "--healthy", metavar="SCENE", help="a healthy eye's scene file: this eye beside it, as keratoconus is published"
     )
-    clinic.add_argument("--out", metavar="DIR", help="folder of the page, new or empty (default: under renders/)")
-    clinic.add_argument("--json", metavar="FILE", help="the tables as JSON")
-    clinic.add_argument("--threads", type=_threads, metavar="N", help="CPU threads (default: all)")
-    clinic.add_argument("--quiet", action="store_true", help="no progress bar")
+    options.take(clinic, "out", "json", "threads", "quiet", json="the tables as JSON")
     clinic.set_defaults(do=_clinic)
-    refit = commands.add_parser(
+    refit = add(
         "fit-clinic",
-        help="fit keys of a scene to levels and slopes of living eyes",
+        "fit keys of a scene to levels and slopes of living eyes",
         description="Fit named numbers of a scene to levels and slopes of living eyes at once, on the cavity rung; "
         "prints a table and the overrides to paste.",
+        examples=("taichi-eye check fit-clinic corvis_healthy --free cornea.stiffness_a_pa,puff.width_mm",),
     )
-    refit.add_argument("scene", help="scene file (TOML)")
+    options.take(refit, "scene", "set")
     refit.add_argument(
         "--free", metavar="KEYS", required=True, help="keys to fit, SECTION.KEY,SECTION.KEY,...; any number above 0"
     )
     refit.add_argument(
-        "--set",
-        dest="overrides",
-        metavar="SECTION.KEY=VALUE",
-        action="append",
-        default=[],
-        help="override a key of the scene; may be repeated",
+        "--rounds",
+        type=options.count("rounds", 1000),
+        default=12,
+        metavar="N",
+        help="end after so many evaluations with derivatives (12)",
     )
-    refit.add_argument(
-        "--rounds", type=_rounds, default=12, metavar="N", help="end after so many evaluations with derivatives (12)"
-    )
-    refit.add_argument("--json", metavar="FILE", help="the figures as JSON")
-    refit.add_argument("--threads", type=_threads, metavar="N", help="CPU threads (default: all)")
-    refit.add_argument("--quiet", action="store_true", help="no progress bar")
+    options.take(refit, "json", "threads", "quiet")
     refit.set_defaults(do=_refit)
-    claims = commands.add_parser(
+    claims = add(
         "claims",
-        help="put the paper's claims on delay, asymmetry and IOP to the model",
+        "put the paper's claims on delay, asymmetry and IOP to the model",
         description="Run some forty puffs on the default eye that differ in one thing each and "
         "say which of the paper's claims hold: claims.html and claims.csv.",
-    )
-    claims.add_argument(
-        "--out", metavar="DIR", help="folder for the page, new or empty (default: a new one under renders/)"
+        examples=("taichi-eye check claims", "taichi-eye check claims --spacing-mm 0.2 --json claims.json"),
     )
     claims.add_argument("--spacing-mm", type=float, default=0.25, metavar="H", help="node spacing (default: 0.25)")
-    claims.add_argument("--json", metavar="FILE", help="also write claims, sensitivities and all runs as JSON")
-    claims.add_argument("--quiet", action="store_true", help="no progress bar")
-    claims.set_defaults(do=_claims)
-    _add_chart(commands)
-    return top
-
-
-def _take_scene(command) -> None:
-    command.add_argument("scene", nargs="?", help="scene file (TOML); without one, the default eye")
-    command.add_argument(
-        "--set",
-        dest="overrides",
-        metavar="SECTION.KEY=VALUE",
-        action="append",
-        default=[],
-        help="override a key of the scene; may be repeated",
+    options.take(
+        claims,
+        "out",
+        "json",
+        "threads",
+        "quiet",
+        json="also write claims, sensitivities and all runs as JSON",
     )
-
-
-def _add_chart(commands) -> None:
-    chart = commands.add_parser(
+    claims.set_defaults(do=_claims)
+    chart = add(
         "chart",
-        help="chart speed against accuracy: rungs and settings side by side",
+        "chart speed against accuracy: rungs and settings side by side",
         description="Run a scene under every rung of the ladder and many settings, and chart wall time "
         "against error: chart.png, chart.html, chart.json. Can be interrupted and resumed.",
+        examples=("taichi-eye check chart seed", "taichi-eye check chart my.toml --budget 60"),
     )
-    _take_scene(chart)
+    options.take(chart, "scene?", "set")
     chart.add_argument(
         "--budget",
-        type=_positive,
+        type=options.positive,
         default=300.0,
         metavar="SECONDS",
         help="points that do not fit are passed over (default: 300)",
     )
-    chart.add_argument("--out", metavar="DIR", help="folder of the chart, new or empty (default: under renders/)")
-    chart.add_argument("--resume", metavar="DIR", help="go on with the chart in this folder")
-    chart.add_argument("--json", metavar="FILE", help="the figures as JSON, a copy of chart.json")
-    chart.add_argument("--quiet", action="store_true", help="no progress bar")
+    options.take(
+        chart,
+        "out",
+        "resume",
+        "json",
+        "threads",
+        "quiet",
+        resume="go on with the chart in this folder",
+        json="the figures as JSON, a copy of chart.json",
+    )
     chart.set_defaults(do=_chart)
 
 
@@ -176,6 +239,11 @@ def _add_analyze(commands) -> None:
         description="Find the edges of the cornea in a film, a folder of images or a run, undo "
         "refraction and write the dynamic corneal response: parameters.csv, parameters.json, "
         "histories.csv, edges.npz, overlay.mp4, analysis.png.",
+        examples=(
+            "taichi-eye analyze film.avi --iop-nct-mmhg 16 --age-years 60",
+            "taichi-eye analyze renders/corvis_healthy-001",
+            "taichi-eye analyze films/a.avi films/b.avi --table all.csv",
+        ),
     )
     analyze.add_argument(
         "film", nargs="+", metavar="FILM|FOLDER|RUN", help="film (mp4, avi, ...), folder of images, or run folder"
@@ -183,10 +251,7 @@ def _add_analyze(commands) -> None:
     analyze.add_argument(
         "--table", metavar="FILE", help="one table of all exams, CSV or Parquet, a row each, in place of folders"
     )
-    analyze.add_argument("--threads", type=_threads, metavar="N", help="with --table: exams read at a time")
-    analyze.add_argument(
-        "--out", metavar="DIR", help="results folder, new or empty (default: a new one under renders/)"
-    )
+    options.take(analyze, "threads", "out", threads="with --table: exams read at a time")
     for flag, unit, text in (
         ("--pixel-x-mm", "MM", "width of a pixel (default 0.015625)"),
         ("--pixel-y-mm", "MM", "height of a pixel (default 0.0165)"),
@@ -197,36 +262,15 @@ def _add_analyze(commands) -> None:
         ("--iop-nct-mmhg", "MMHG", "pressure that the instrument shows; with --age-years, for SP-A1"),
         ("--age-years", "YEARS", "see --iop-nct-mmhg"),
     ):
-        analyze.add_argument(flag, type=_positive, metavar=unit, help=text)
+        analyze.add_argument(flag, type=options.positive, metavar=unit, help=text)
     analyze.set_defaults(do=_analyze)
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
-    return value
-
-
-def _threads(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= 1024:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of threads from 1 to 1024")
-    return int(text)
-
-
-def _rounds(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= 1000:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of rounds from 1 to 1000")
-    return int(text)
 
 
 @console.steady
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     given = parser().parse_args(arguments)
+    provenance.note_command(sys.argv[1:] if arguments is None else arguments)
     try:
         backend.refuse_homeless()
         return given.do(given)
@@ -269,20 +313,38 @@ def _run(given) -> int:
         from taichi_eye.pipeline import run
         from taichi_eye.scene import load_scene
 
+        compare = None if given.compare is None else shipped.find(given.compare, shipped.HISTORIES)
         scene = load_scene(given.scene, given.overrides)
         backend.init(given.arch or "cpu", given.precision or "f64", given.threads)
         name = Path(given.scene).stem if given.scene else "eye"
-        result = run(scene, given.out, name, given.compare, progress=not given.quiet)
+        result = run(scene, given.out, name, compare, progress=not given.quiet)
     if result.summary["status"] != "complete":
         print(f"{result.folder}: is finished: {result.summary['reason']}")
         return 1
     for warning in result.summary["warnings"]:
         print(f"warning: {warning}")
-    apex = result.summary["apex_displacement_mm"]
-    print(
-        f"{result.folder}: apex {apex['peak']:.3f} mm at {apex['peak_time_ms']:.2f} ms, "
-        f"{result.summary['wall_clock']['total_s']:.1f} s"
-    )
+    apex, whole = (result.summary[name] for name in ("apex_displacement_mm", "apex_deformation_mm"))
+    said = f"apex deflection {apex['peak']:.3f} mm at {apex['peak_time_ms']:.2f} ms"
+    if whole["peak"] != apex["peak"]:
+        said += f", deformation {whole['peak']:.3f} mm at {whole['peak_time_ms']:.2f} ms"
+    print(f"{result.folder}: {said}, {result.summary['wall_clock']['total_s']:.1f} s")
+    return 0
+
+
+def _scene(given) -> int:
+    from taichi_eye.scene import dump_scene, load_scene
+
+    print(dump_scene(load_scene(given.scene, given.overrides)), end="")
+    return 0
+
+
+def _docs(given) -> int:
+    if given.page is not None:
+        print(docs.text(given.page))
+        return 0
+    width = max(map(len, docs.names()))
+    for name in docs.names():
+        print(f"{name:{width}}  {docs.title(name)}")
     return 0
 
 
@@ -297,17 +359,20 @@ def _refuse_unwritable(json_file: str | None) -> None:
         )
 
 
-def _prove(given) -> int:
-    from importlib import import_module
+def _proof(name: str):
+    """The module of a proof that consists of parts."""
+    return import_module(f"taichi_eye.{'bench' if name == 'bench' else 'proof'}.{name}")
 
-    room = "bench" if given.command == "bench" else "proof"
-    proof = import_module(f"taichi_eye.{room}.{given.command}")
+
+def _prove(given) -> int:
+    proof = _proof(given.command)
     unknown = [name for name in given.only if name not in proof.PARTS]
     if unknown:
         raise SceneError(f"--only {unknown[0]}: {given.command} has {', '.join(proof.PARTS)}")
     _refuse_unwritable(given.json)
     backend.init("cpu", "f64", given.threads)
-    return 0 if proof.report(given.only, given.out, given.json) else 1
+    bar = {"progress": not given.quiet} if hasattr(given, "quiet") else {}
+    return 0 if proof.report(given.only, given.out, given.json, **bar) else 1
 
 
 def _analyze(given) -> int:
@@ -362,7 +427,7 @@ def _claims(given) -> int:
 
     load_scene(None, (f"numerics.spacing_mm={given.spacing_mm}",))
     _refuse_unwritable(given.json)
-    backend.init()
+    backend.init("cpu", "f64", given.threads)
     folder = create_run_folder(given.out, "claims")
     listed = claims.cases()
     with tqdm(total=len(listed), unit=" runs", disable=given.quiet, dynamic_ncols=True) as bar:
@@ -392,6 +457,7 @@ def _chart(given) -> int:
     if given.resume and given.out:
         raise SceneError("--resume goes on in the chart's own folder: leave --out out")
     _refuse_unwritable(given.json)
+    backend.init("cpu", "f64", given.threads)
     points = chart.read(Path(given.resume), scene) if given.resume else {}
     folder = Path(given.resume) if given.resume else create_run_folder(given.out, "chart")
     with tqdm(unit=" points", disable=given.quiet, dynamic_ncols=True) as bar:

@@ -19,7 +19,7 @@ from tqdm import tqdm
 from taichi_eye import backend
 from taichi_eye.bench import batch, default, gpu, growth, packing, peers, startup, step
 from taichi_eye.bench.rows import Row
-from taichi_eye.lang import NAME, ti
+from taichi_eye.provenance import language
 from taichi_eye.report.folder import create_run_folder, write_text
 from taichi_eye.report.page import picture, plain, table, write_page
 
@@ -43,11 +43,13 @@ def report(
     say=lambda text: print(text, flush=True),
     parts=None,
     command: str = "bench",
+    progress: bool = True,
 ) -> bool:
     """Measure the parts named (all without names), print the table, write the page; whether all that is asked holds.
 
     out: folder of the page (default: a new one under renders/); json_file: the machine, and each part's rows. Both are
-    written anew after every part: an interrupted bench keeps what it has. parts: those of another command.
+    written anew after every part: an interrupted bench keeps what it has. parts: those of another command. progress:
+    a bar on the terminal.
     """
     measured = PARTS if parts is None else parts
     folder = create_run_folder(out, command)
@@ -62,7 +64,7 @@ def report(
     tell(", ".join(f"{value} {name}" if isinstance(value, int) else str(value) for name, value in machine.items()))
     tell(_line(HEAD))
     names = list(only or measured)
-    with tqdm(total=len(names), unit=" parts", dynamic_ncols=True, leave=False) as bar:
+    with tqdm(total=len(names), unit=" parts", disable=not progress, dynamic_ncols=True, leave=False) as bar:
         for name in names:
             started = time.perf_counter()
             bar.set_description_str(name)
@@ -107,7 +109,7 @@ def describe_machine() -> dict:
         "cores": os.cpu_count() or 1,
         "threads": backend.threads(),
         "python": f"Python {platform.python_version()}",
-        "language": f"{NAME} {'.'.join(map(str, ti.__version__))}",
+        "language": language(),
         "numpy": f"NumPy {np.__version__}",
     }
 

@@ -179,12 +179,12 @@ def _timed(scene) -> tuple[Choice, float]:
     return choice, statistics.median(times)
 
 
-def report(only=(), out: str | None = None, json_file: str | None = None) -> bool:
+def report(only=(), out: str | None = None, json_file: str | None = None, progress: bool = True) -> bool:
     """Judge the scenes named (all without names), print the table, write the page; whether every row passed."""
     folder = create_run_folder(out, "choices")
     rows: list[Pick] = []
     names = list(only or PARTS)
-    with tqdm(total=len(names), unit=" scenes", dynamic_ncols=True) as bar:
+    with tqdm(total=len(names), unit=" scenes", disable=not progress, dynamic_ncols=True) as bar:
         for name in names:
             more = judge(name, bar.set_description_str)
             rows += more

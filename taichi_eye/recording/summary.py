@@ -7,11 +7,13 @@ from dataclasses import asdict
 
 import numpy as np
 
+from taichi_eye.provenance import provenance
 from taichi_eye.recording.observer import Observer
 from taichi_eye.report.compare import differences
 from taichi_eye.report.folder import write_text
 from taichi_eye.report.history import summarise
 from taichi_eye.solver.doubts import doubts
+from taichi_eye.units import MM, MS
 
 
 class Summary(Observer):
@@ -27,6 +29,8 @@ def _summary(recording, ending) -> dict:
     traces, history, simulation = ending.traces, ending.history, recording.simulation
     clock = recording.clock | {"total_s": recording.elapsed_s()}
     load = summarise(traces["time_ms"], traces["puff_apex_kpa"])
+    retreat_mm = simulation.eye.retreat(traces["time_ms"] * MS) / MM
+    whole = summarise(traces["time_ms"], traces["apex_displacement_mm"] + retreat_mm)
     work = float(np.abs(traces["puff_work_uj"]).max())
     apex = {
         **asdict(history),
@@ -39,12 +43,14 @@ def _summary(recording, ending) -> dict:
         "reason": None if ending.stop is None else (str(ending.stop) or "interrupted"),
         "simulated_ms": float(traces["time_ms"][-1]),
         "apex_displacement_mm": apex,
+        "apex_deformation_mm": {"peak": whole.peak, "peak_time_ms": whole.peak_time_ms},
         "fluid_pressure_apex_max_kpa": float(traces["fluid_pressure_apex_kpa"].max()),
         "cornea_min_stress_kpa": float(traces["cornea_min_stress_kpa"].min()),
         "chamber_volume_error_max": float(np.abs(traces["chamber_volume_error"]).max()),
         "energy_error_share_of_work": float(np.abs(traces["energy_error_uj"]).max()) / work if work > 0 else 0.0,
         "fidelity": recording.scene.numerics.fidelity,
         **simulation.facts(),
+        "provenance": provenance(),
         "wall_clock": {name: round(seconds, 3) for name, seconds in clock.items()},
     }
     summary["warnings"] = doubts(simulation.case, traces)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from taichi_eye.provenance import provenance, versions
 from taichi_eye.report.folder import write_text
 
 COLOURS = ("#14539a", "#c9641a", "#3d8b57", "#8c3a8c", "#a88a1a", "#4c5560", "#b03a48", "#2a9d9d")
@@ -15,6 +16,7 @@ STYLE = """body{font:15px/1.5 system-ui,sans-serif;color:#22262b;max-width:75rem
 table{border-collapse:collapse;font-size:13px;margin:1rem 0}td,th{padding:.2rem .7rem;border-bottom:1px solid
 #d8dce0;text-align:left}
 td.n{text-align:right;font-variant-numeric:tabular-nums}.no{background:#fbe3e0}.ok{color:#26713f}
+footer{color:#6b737c;font-size:12px;margin-top:2rem}
 img{max-width:100%;margin:.5rem 0}figure{display:inline-block;margin:.5rem}"""
 
 
@@ -82,10 +84,18 @@ def _numeric(cell) -> str:
     return " class=n" if str(cell)[:1].isdigit() or str(cell)[:1] == "-" else ""
 
 
+def _footer() -> str:
+    told = provenance()
+    by = f" by {told['command']}" if told["command"] else ""
+    return (
+        f"<footer>{plain(versions())}, {told['system']}, {told['threads']} threads, {told['date']}{plain(by)}</footer>"
+    )
+
+
 def write_page(path: Path, title: str, parts: list[str]) -> None:
     """Write the page; `parts`: HTML."""
     write_text(
         path,
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title>"
-        f"<style>{STYLE}</style><h1>{html.escape(title)}</h1>{''.join(parts)}</html>\n",
+        f"<style>{STYLE}</style><h1>{html.escape(title)}</h1>{''.join(parts)}{_footer()}</html>\n",
     )

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from taichi_eye import shipped
 from taichi_eye.errors import SceneError
 from taichi_eye.scene.draft import CHANGE, FILE, Draft, hint_section, written
 from taichi_eye.scene.scene import Scene
@@ -22,14 +23,16 @@ else:
 def load_scene(path: str | Path | None = None, overrides: Sequence[str] = ()) -> Scene:
     """Read, validate and resolve a scene.
 
-    path: a TOML file; None or an empty file is the default eye. overrides: "section.key=value" strings, as after
-    `--set`, applied in order on top of the file; a value that is not TOML is taken as a string, so quotes may be left
-    out. A relative `puff.file` is looked for beside the scene file, or, given as an override, in the current directory.
-    Keys with a computed default also take the value "auto". Raises SceneError with every problem found.
+    path: a TOML file, or the name of a scene that ships; None or an empty file is the default eye. overrides:
+    "section.key=value" strings, as after `--set`, applied in order on top of the file; a value that is not TOML is
+    taken as a string, so quotes may be left out. A relative `puff.file` is looked for beside the scene file, or, given
+    as an override, in the current directory. Keys with a computed default also take the value "auto". Raises SceneError
+    with every problem found.
     """
+    path = None if path is None else shipped.find(path)
     draft = Draft(None if path is None else str(path))
     if path is not None:
-        _read_file(draft, Path(path))
+        _read_file(draft, path)
     for override in overrides:
         _read_override(draft, override)
     return Scene.of(draft)

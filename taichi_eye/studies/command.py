@@ -9,40 +9,36 @@ import sys
 from pathlib import Path
 
 from taichi_eye.errors import SceneError
+from taichi_eye.options import take
 
 SUFFIXES = ".csv", ".parquet"
 
 
-def add(commands, threads) -> None:
-    """The parser of `sweep`; threads: the type of its --threads."""
+def add(commands) -> None:
+    """The parser of `sweep`."""
     parser = commands.add_parser(
         "sweep",
         help="a study: one scene as many eyes, on this machine or a Dask cluster",
         description="Run a study: draw eyes from a design over keys of a scene, compute all of them, and write one "
         "table: table.parquet, table.csv, columns.csv, plots, study.html. A study that was cut off goes on with "
         "--resume.",
-        epilog="Ready studies: configs/studies/. How one is written: python -m pydoc taichi_eye.studies.study",
+        epilog="How a study is written: taichi-eye docs sweep",
+        examples=("taichi-eye sweep my_study.toml --threads 2", "taichi-eye sweep --resume renders/my_study-001"),
     )
-    parser.add_argument("study", nargs="?", help="study file (TOML)")
-    parser.add_argument(
-        "--set",
-        dest="overrides",
-        metavar="SECTION.KEY=VALUE",
-        action="append",
-        default=[],
-        help="override a key of the study's scene; may be repeated",
-    )
-    parser.add_argument("--out", metavar="DIR", help="folder of the study, new or empty (default: under renders/)")
-    parser.add_argument(
-        "--resume",
-        metavar="DIR",
-        help="go on with the study in this folder; only --scheduler, --threads and --quiet may stand with it",
+    parser.add_argument("study", nargs="?", help="study file (TOML), or the name of a study that ships")
+    take(
+        parser,
+        "set",
+        "out",
+        "resume",
+        set="override a key of the study's scene; may be repeated",
+        out="folder of the study, new or empty (default: under renders/)",
+        resume="go on with the study in this folder; only --scheduler, --threads and --quiet may stand with it",
     )
     parser.add_argument(
         "--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers compute, as in tcp://host:8786"
     )
-    parser.add_argument("--threads", type=threads, metavar="N", help="CPU threads of this machine (default: all)")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    take(parser, "threads", "quiet", threads="CPU threads of this machine (default: all)")
     parser.set_defaults(do=run)
 
 

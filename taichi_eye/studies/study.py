@@ -34,6 +34,7 @@ from typing import Any
 
 import numpy as np
 
+from taichi_eye import shipped
 from taichi_eye.errors import SceneError
 from taichi_eye.scene import Scene, load_scene
 from taichi_eye.scene.draft import written
@@ -135,13 +136,13 @@ def load_study(
 ) -> Study:
     """Read and check a study.
 
-    source: a study file, or what one holds as a dictionary (paths in it are then relative to the current folder).
-    scene: in place of the one that the study names. overrides: "section.key=value" on top of [set]. Raises SceneError
-    with every problem found.
+    source: a study file, the name of one that ships, or what one holds as a dictionary (paths in it are then relative
+    to the current folder). scene: in place of the one that the study names. overrides: "section.key=value" on top of
+    [set]. Raises SceneError with every problem found.
     """
     if isinstance(source, Mapping):
         return _Reader("study", Path(), source).study("study", scene, overrides)
-    path = Path(source)
+    path = shipped.find(source, shipped.STUDIES)
     try:
         content = tomllib.loads(read_text(path))
     except RecursionError:

@@ -21,7 +21,7 @@ PARTS = {
 STANDARD = "optics", "reading", "damaged", "speed"
 
 
-def report(only=(), out: str | None = None, json_file: str | None = None) -> bool:
+def report(only=(), out: str | None = None, json_file: str | None = None, progress: bool = True) -> bool:
     """Measure the parts named (STANDARD without names), print the table, write page and JSON; whether all that is
     asked holds."""
-    return bench.report(only or STANDARD, out, json_file, parts=PARTS, command="films")
+    return bench.report(only or STANDARD, out, json_file, parts=PARTS, command="films", progress=progress)

@@ -1,0 +1,46 @@
+"""What computed a result, where, when and by which command: one record for summaries and pages."""
+
+from __future__ import annotations
+
+import platform
+import shlex
+from collections.abc import Sequence
+from datetime import datetime, timezone
+
+import taichi_eye
+from taichi_eye import backend
+from taichi_eye.lang import NAME, ti
+
+_command: str | None = None
+
+
+def note_command(arguments: Sequence[str]) -> None:
+    """Remember the command line that is being run."""
+    global _command
+    _command = shlex.join(["taichi-eye", *arguments])
+
+
+def language() -> str:
+    """The kernel language and its version."""
+    return f"{NAME} {'.'.join(map(str, ti.__version__))}"
+
+
+def versions() -> str:
+    """One line: this package, the kernel language, Python."""
+    return f"taichi-eye {taichi_eye.__version__} ({language()}, Python {platform.python_version()})"
+
+
+def provenance() -> dict[str, str | int | None]:
+    """The record. command: None where a script called, not the command line; date in UTC; the backend as it runs."""
+    begun = backend.settings()
+    return {
+        "taichi_eye": taichi_eye.__version__,
+        "language": language(),
+        "python": platform.python_version(),
+        "arch": begun.get("arch"),
+        "precision": begun.get("precision"),
+        "threads": backend.threads(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "command": _command,
+    }
