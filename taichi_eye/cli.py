@@ -270,10 +270,10 @@ def _add_analyze(commands) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     given = parser().parse_args(arguments)
-    provenance.note_command(sys.argv[1:] if arguments is None else arguments)
     try:
         backend.refuse_homeless()
-        return given.do(given)
+        with provenance.command(sys.argv[1:] if arguments is None else arguments):
+            return given.do(given)
     except (SceneError, FilmError, backend.BackendError) as error:
         print(f"taichi-eye: {error}", file=sys.stderr)
         return 2

@@ -8,6 +8,7 @@ it means something of its own there. `Command` is a parser whose help ends with 
 from __future__ import annotations
 
 import argparse
+import textwrap
 from collections.abc import Callable, Iterable, Sequence
 
 from taichi_eye import backend
@@ -97,9 +98,8 @@ class Command(argparse.ArgumentParser):
         """The help, the names of parts and the examples at its end."""
         said = super().format_help()
         if self.parts is not None:
-            named = self._get_formatter()
-            named.add_text(f"parts, for --only: {', '.join(self.parts())}")
-            said += "\n" + named.format_help()
+            named = f"parts, for --only: {', '.join(self.parts())}"
+            said += "\n" + textwrap.fill(named, width=78, break_on_hyphens=False) + "\n"
         if self.examples:
             said += "\nexamples:\n" + "".join(f"  {line}\n" for line in self.examples)
         return said

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import platform
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from datetime import datetime, timezone
 
 import taichi_eye
@@ -14,10 +15,15 @@ from taichi_eye.lang import NAME, ti
 _command: str | None = None
 
 
-def note_command(arguments: Sequence[str]) -> None:
-    """Remember the command line that is being run."""
+@contextmanager
+def command(arguments: Sequence[str]) -> Iterator[None]:
+    """While this command line is run."""
     global _command
-    _command = shlex.join(["taichi-eye", *arguments])
+    before, _command = _command, shlex.join(["taichi-eye", *arguments])
+    try:
+        yield
+    finally:
+        _command = before
 
 
 def language() -> str:

@@ -40,10 +40,9 @@ def main(wanted_mpa=0.4, name="quick"):
     """Print the options for `taichi-eye run`; the scene."""
     base = taichi_eye.load_scene(name)
     scene = with_young(base, wanted_mpa)
-    print(f"{name}: {young_mpa(base):.3f} MPa; for {wanted_mpa:g} MPa (A = {scene.cornea.stiffness_a_pa:.5g} Pa) add")
-    print(
-        f"--set cornea.stiffness_a_pa={scene.cornea.stiffness_a_pa!r} --set cornea.exponent_k={base.cornea.exponent_k!r}"
-    )
+    a, k = scene.cornea.stiffness_a_pa, scene.cornea.exponent_k
+    print(f"{name}: {young_mpa(base):.3f} MPa; for {wanted_mpa:g} MPa add")
+    print(f"--set cornea.stiffness_a_pa={a!r} --set cornea.exponent_k={k!r}")
     return scene
 
 
