@@ -10,6 +10,7 @@ import time
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas
@@ -19,20 +20,33 @@ from processes import environment
 
 import taichi_eye
 from taichi_eye import cli
-from taichi_eye.analysis.simulated import response_of
+from taichi_eye.analysis import Response
+from taichi_eye.analysis.simulated import Reading, response_of
 from taichi_eye.errors import Interrupted, OutputError, SceneError
 from taichi_eye.report.folder import Lock
-from taichi_eye.studies import command
+from taichi_eye.studies import eyes, page
 from taichi_eye.studies import sweep as module
 from taichi_eye.studies.columns import FIGURES
+from taichi_eye.studies.study import plain_scene
 from taichi_eye.studies.sweep import resume, sweep
 
 HERE = Path(__file__).parent
 IOP, THICK = "eye.iop_mmhg", "cornea.thickness_mm"
-CAVITY = {"numerics": {"fidelity": "cavity", "spacing_mm": 0.4}}
-ALWAYS = {
+PLOTS = {"responses.png", "scatter.png", "matters.png"}
+ALWAYS = PLOTS | {
     *("table.parquet", "table.csv", "columns.csv", "matters.csv", "summary.json", "scene.toml", "study.toml"),
-    *("study.html", "responses.png", "scatter.png", "matters.png"),
+    "study.html",
+}
+TIMES = np.linspace(0.0, 20.0, 201)
+TRACES = {
+    "time_ms": TIMES,
+    "apex_displacement_mm": np.exp(-(((TIMES - 9.0) / 4.0) ** 2)),
+    "puff_apex_kpa": 10.0 * np.exp(-(((TIMES - 10.0) / 4.0) ** 2)),
+    "puff_work_uj": TIMES,
+    "fluid_pressure_apex_kpa": TIMES,
+    "cornea_min_stress_kpa": TIMES,
+    "chamber_volume_error": TIMES,
+    "energy_error_uj": TIMES,
 }
 STUB = {
     "design": {"kind": "random", "eyes": 120, "seed": 2},
@@ -45,30 +59,25 @@ def names(folder):
     return {path.name for path in folder.iterdir()}
 
 
-def test_rows_are_those_of_each_eye_alone_whatever_its_rung(tmp_path):
-    tiny = {"spacing_mm": 0.4, "sound_speed_m_s": 20, "duration_ms": 9, "tolerance_percent": 30}
-    (tmp_path / "eyes.csv").write_text(
-        "who,eye.iop_mmhg,numerics.fidelity,puff.peak_kpa\n"
-        "a,12,cavity,10\nb,15,mfpm,10\nc,18,mfpm,10\nd,1,mfpm,10\ne,15,membrane,5\nf,15,auto,10\n"
-    )
-    numerics = "".join(f"{name} = {value}\n" for name, value in tiny.items())
-    (tmp_path / "tiny.toml").write_text(f"[puff]\nduration_ms = 12\n[numerics]\n{numerics}")
-    (tmp_path / "study.toml").write_text('scene = "tiny.toml"\n[design]\nkind = "table"\nfile = "eyes.csv"\n')
+def test_rows_are_those_of_each_eye_alone(tmp_path):
+    (tmp_path / "eyes.csv").write_text("who,eye.iop_mmhg,numerics.fidelity\na,12,cavity\nb,18,cavity\nc,15,membrane\n")
+    (tmp_path / "base.toml").write_text("[numerics]\nspacing_mm = 0.4\n")
+    (tmp_path / "study.toml").write_text('scene = "base.toml"\n[design]\nkind = "table"\nfile = "eyes.csv"\n')
     result = taichi_eye.sweep(tmp_path / "study.toml", tmp_path / "out", threads=1)
     table = result.table
-    assert names(tmp_path / "out") == ALWAYS | {"design.csv"}
-    assert list(table["eye"]) == list(range(6)) and list(table["who"]) == list("abcdef")
+    # of two complete eyes there is no fit
+    assert names(tmp_path / "out") == ALWAYS - {"matters.png"} | {"design.csv"}
+    assert list(table["eye"]) == [0, 1, 2] and list(table["who"]) == list("abc")
     for row in table.to_dict("records"):
-        changed = [f"{name}={row[name]}" for name in (IOP, "puff.peak_kpa", "numerics.fidelity")]
-        alone = response_of(taichi_eye.load_scene(tmp_path / "tiny.toml", changed))
+        changed = [f"{name}={row[name]}" for name in (IOP, "numerics.fidelity")]
+        alone = response_of(taichi_eye.load_scene(tmp_path / "base.toml", changed))
         for name, value in asdict(alone.response).items():
             assert row[name] == value if value is not None else np.isnan(row[name]), name
-        assert (row["status"] == "stopped") == bool(alone.stopped) == (row["who"] == "d")
-        assert row["fidelity"] == ("cavity" if row["who"] == "f" else row["numerics.fidelity"])
-    stopped = table[table["status"] == "stopped"].iloc[0]
-    assert stopped["reason"].startswith("stopped at ") and stopped["simulated_ms"] < 9.0
-    assert result.summary["status"] == {"complete": 5, "stopped": 1, "refused": 0, "failed": 0}
-    assert table["apex_peak_mm"][1] > table["apex_peak_mm"][2] > 0.01
+        assert (row["status"] == "stopped") == bool(alone.stopped) == (row["who"] == "c")
+        assert row["fidelity"] == row["numerics.fidelity"]
+    assert table["reason"][2].startswith("stopped at ") and table["simulated_ms"][2] < 32.0
+    assert result.summary["status"] == {"complete": 2, "stopped": 1, "refused": 0, "failed": 0}
+    assert table["deformation_amplitude_mm"][0] > table["deformation_amplitude_mm"][1] > 0.5
     # what is left of a study runs again to the same table, and is what pandas reads from either file
     again = sweep(tmp_path / "out" / "study.toml", tmp_path / "again", threads=1)
     pandas.testing.assert_frame_equal(again.table, table)
@@ -76,28 +85,70 @@ def test_rows_are_those_of_each_eye_alone_whatever_its_rung(tmp_path):
     np.testing.assert_array_equal(text[list(FIGURES)].to_numpy(float), table[list(FIGURES)].to_numpy(float))
 
 
-def test_an_eye_that_is_no_scene_or_ends_its_process_is_a_row(tmp_path):
-    iop = [10.0, 66.0, 12.0, 67.0, 14.0]
-    study = {"design": {"kind": "grid"}, "set": CAVITY, "vary": {IOP: {"values": iop}}}
-    table = sweep(study, tmp_path / "deadly", threads=1, compute="stubs:deadly").table
-    assert list(table["status"]) == ["complete", "failed", "complete", "failed", "complete"]
-    assert list(table[IOP]) == iop
-    assert "signal 9" in table["reason"][1] and "ZeroDivisionError" in table["reason"][3]
-    assert table["a1_time_ms"].notna().sum() == 3
+def test_an_eye_that_raises_takes_nothing_from_those_beside_it(monkeypatch):
+    def some(scenes):
+        if any(scene.eye.iop_mmhg == 13.0 for scene in scenes):
+            raise SceneError("the chamber cannot be filled\nat this spacing")
+        return [Found(scene) for scene in scenes]
 
+    class Found:
+        outcome, read = SimpleNamespace(stop=None, traces=TRACES), lambda self: Reading(Response(a1_time_ms=7.0))
 
-def test_a_scene_that_contradicts_itself_is_refused_as_a_row(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("study.toml").write_text(
-        '[design]\nkind = "grid"\n[set]\nnumerics.fidelity = "membrane"\nnumerics.duration_ms = 1\n'
-        "[vary]\ncornea.radius_mm = { values = [5.5, 7.0, 7.8] }\n"
+        def __init__(self, scene):
+            # as "auto" decides, on another spacing than was asked for
+            self.scene = scene.but({"numerics.fidelity": "cavity", "numerics.spacing_mm": 0.4})
+
+    monkeypatch.setattr(eyes, "observe_many", some)
+    base = plain_scene(taichi_eye.load_scene(None, ["numerics.fidelity=auto"]))
+    common = eyes.common_of(base, [IOP, "numerics.spacing_mm"], {})
+    rows = eyes.measure(common, [{IOP: 12.0}, {IOP: 13.0}, {IOP: 14.0}, {IOP: -1.0}])
+    assert [row["status"] for row in rows] == ["complete", "refused", "complete", "refused"]
+    assert rows[1]["reason"] == "the chamber cannot be filled; at this spacing" and "eye.iop_mmhg" in rows[3]["reason"]
+    assert rows[0][IOP] == 12.0 and rows[0]["numerics.spacing_mm"] == 0.1 and rows[0]["fidelity"] == "cavity"
+    assert (
+        rows[0]["a1_time_ms"] == 7.0
+        and rows[0]["apex_peak_mm"] == 1.0
+        and rows[0]["apex_delay_ms"] == pytest.approx(-1.0)
     )
-    assert cli.main(["sweep", "study.toml", "--quiet", "--out", "out", "--threads", "1"]) == 0
+
+
+def test_a_puff_file_travels_with_the_study(tmp_path):
+    file = tmp_path / "puff.csv"
+    file.write_text("time_ms,pressure_kpa\n0,0\n8,6\n16,0\n")
+    words = ["numerics.fidelity=cavity", "numerics.spacing_mm=0.4", "puff.time_course=file", f"puff.file={file}"]
+    scene = taichi_eye.load_scene(None, words)
+    common = eyes.common_of(plain_scene(scene), ["puff.file"], {str(file): file.read_text()})
+    here = eyes.measure(common, [{}])[0]
+    file.unlink()  # as on another machine
+    eyes._base.cache_clear()
+    eyes._places.cache_clear()
+    there = eyes.measure(common, [{}])[0]
+    assert here == there and there["status"] == "complete" and there["puff.file"] == str(file)
+
+
+def test_an_eye_that_ends_its_process_is_a_row(tmp_path, plain, monkeypatch, capsys):
+    monkeypatch.setattr(module, "sweep", partial(sweep, compute="stubs:deadly"))
+    monkeypatch.chdir(tmp_path)
+    form = '[design]\nkind = "grid"\n[set]\nnumerics.fidelity = "cavity"\n[vary]\neye.iop_mmhg = {{ values = {} }}\n'
+    Path("some.toml").write_text(form.format([10.0, 66.0, 12.0, 67.0, 14.0]))
+    words = ["--quiet", "--threads", "1"]
+    assert cli.main(["sweep", "some.toml", "--out", "some", *words]) == 0
     said = capsys.readouterr().out
-    assert "1 eye: " in said and "out: 3 eyes (2 complete, 1 refused)" in said
-    table = pandas.read_parquet("out/table.parquet")
-    assert list(table["status"]) == ["refused", "complete", "complete"]
-    assert "limbus radius must be below" in table["reason"][0] and table["cornea.radius_mm"][0] == 5.5
+    assert "1 eye: the process that computed it was ended by signal 9" in said
+    assert "some: 5 eyes (3 complete, 2 failed)" in said
+    table = pandas.read_parquet("some/table.parquet")
+    assert list(table["status"]) == ["complete", "failed", "complete", "failed", "complete"]
+    assert list(table[IOP]) == [10.0, 66.0, 12.0, 67.0, 14.0] and table["a1_time_ms"].notna().sum() == 3
+    assert "signal 9" in table["reason"][1] and "ZeroDivisionError" in table["reason"][3]
+    Path("none.toml").write_text(form.format([66.0]))
+    assert cli.main(["sweep", "none.toml", "--out", "none", *words]) == 1
+    assert "none: 1 eyes (1 failed)" in capsys.readouterr().out
+
+
+@pytest.fixture
+def plain(monkeypatch):
+    """Studies without pictures, which take their time."""
+    monkeypatch.setattr(page, "draw", lambda *_: {})
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +158,7 @@ def whole(tmp_path_factory):
 
 
 def assert_same(folder, whole):
-    assert names(folder) == names(whole) == ALWAYS
+    assert names(whole) == ALWAYS and names(folder) == ALWAYS - PLOTS
     for name in ("table.csv", "columns.csv", "study.toml", "scene.toml", "matters.csv"):
         assert (folder / name).read_bytes() == (whole / name).read_bytes(), name
     assert pq.read_table(folder / "table.parquet").equals(pq.read_table(whole / "table.parquet"))
@@ -143,7 +194,7 @@ def cut_off(out, how, after):
     return process.returncode, *said
 
 
-def test_a_study_that_is_killed_goes_on_to_the_same_table(tmp_path, whole):
+def test_a_study_that_is_killed_goes_on_to_the_same_table(tmp_path, whole, plain):
     out = tmp_path / "out"
     status, _, _ = cut_off(out, signal.SIGKILL, after=48)
     assert status == -signal.SIGKILL and names(out) == {".run"}
@@ -174,7 +225,7 @@ def test_a_study_that_is_killed_goes_on_to_the_same_table(tmp_path, whole):
         sweep(STUB, out, compute="stubs:linear")
 
 
-def test_ctrl_c_says_how_to_go_on(tmp_path, whole):
+def test_ctrl_c_says_how_to_go_on(tmp_path, whole, plain):
     out = tmp_path / "out"
     status, told, said = cut_off(out, signal.SIGINT, after=5)
     assert status == 130 and told == "" and "Traceback" not in said
@@ -183,7 +234,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path, whole):
     assert_same(out, whole)
 
 
-def test_a_full_disk_keeps_what_is_finished(tmp_path, whole, monkeypatch):
+def test_a_full_disk_keeps_what_is_finished(tmp_path, whole, plain, monkeypatch):
     out, limit = tmp_path / "out", resource.getrlimit(resource.RLIMIT_FSIZE)
     put = module.Shelf.put
 
@@ -232,14 +283,3 @@ def test_a_damaged_parcel_and_another_program_are_refused(tmp_path, monkeypatch)
     monkeypatch.setattr(workroom, "program", lambda: "taichi_eye 9.9")
     with pytest.raises(SceneError, match="was begun by taichi_eye"):
         resume(out)
-
-
-def test_an_exit_status_of_one_where_no_eye_is_complete(tmp_path, monkeypatch, capsys):
-    (tmp_path / "s.toml").write_text(
-        '[design]\nkind = "grid"\n[set]\nnumerics.fidelity = "cavity"\nnumerics.spacing_mm = 0.4\n'
-        "[vary]\neye.iop_mmhg = { values = [66.0] }\n"
-    )
-    monkeypatch.setattr(module, "sweep", partial(sweep, compute="stubs:deadly"))
-    given = cli.parser().parse_args(["sweep", str(tmp_path / "s.toml"), "--out", str(tmp_path / "out"), "--quiet"])
-    assert command.run(given) == 1
-    assert "1 failed" in capsys.readouterr().out
