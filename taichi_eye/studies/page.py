@@ -15,7 +15,7 @@ from taichi_eye.report.folder import replacing
 from taichi_eye.report.page import COLOURS, embedded, plain, table, write_page
 from taichi_eye.studies.columns import UNITS, unit_of
 from taichi_eye.studies.matters import Effect
-from taichi_eye.studies.study import KINDS, LEVELLED, Study
+from taichi_eye.studies.study import KINDS, Study
 
 KEYS_MAX = 8  # columns of the response curves
 SCATTERED = 6, 4  # keys and figures of the scatter matrix, at most
@@ -125,9 +125,11 @@ def _curve(axes, x: np.ndarray, y: np.ndarray, colour: str, study: Study) -> Non
     if not len(x):
         return
     levels = np.unique(x)
-    if len(levels) == len(x) and (study.kind in LEVELLED or len(study.factors) == 1):
-        order = np.argsort(x)
-        axes.plot(x[order], y[order], "o-", color=colour, markersize=3, linewidth=1.3)
+    if study.kind == "one_at_a_time" or len(study.factors) == 1 and len(levels) == len(x):
+        # a level of the scene's own eye stands there twice
+        axes.plot(
+            levels, [np.median(y[x == level]) for level in levels], "o-", color=colour, markersize=3, linewidth=1.3
+        )
         return
     shown = _some(len(x))
     axes.plot(x[shown], y[shown], ".", color=colour, alpha=0.4, markersize=_dot(len(shown)), markeredgewidth=0)
@@ -209,6 +211,8 @@ def _bars(study: Study, found: Sequence[Effect]) -> Figure:
         some = [of_figure[key] for key in order]
         _BARS[study.kind if study.kind in _BARS else "slopes"](axes, place, some)
         axes.set_axisbelow(True)
+        axes.use_sticky_edges = False
+        axes.margins(x=0.06)
         axes.axvline(0.0, color=GREY, linewidth=0.8)
         axes.set_title(label(figure), fontsize=8)
         axes.set_yticks(range(len(keys)), keys, fontsize=7)

@@ -142,7 +142,7 @@ def test_an_eye_that_ends_its_process_is_a_row(tmp_path, plain, monkeypatch, cap
     assert "signal 9" in table["reason"][1] and "ZeroDivisionError" in table["reason"][3]
     Path("none.toml").write_text(form.format([66.0]))
     assert cli.main(["sweep", "none.toml", "--out", "none", *words]) == 1
-    assert "none: 1 eyes (1 failed)" in capsys.readouterr().out
+    assert "none: 1 eye (1 failed)" in capsys.readouterr().out
 
 
 @pytest.fixture
