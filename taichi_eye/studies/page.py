@@ -90,8 +90,12 @@ def _foremost(study: Study, frame, found: Sequence[Effect]) -> list[str]:
 
 
 def _responses(study: Study, frame, keys: Sequence[str], figures: Sequence[str]) -> Figure:
-    canvas = Figure(figsize=(2.9 * len(keys) + 0.6, 2.3 * len(figures) + 0.4), layout="constrained")
-    grid = canvas.subplots(len(figures), len(keys), squeeze=False, sharey="row")
+    # a row for each figure and a column for each key; of a single key the figures stand side by side
+    single = len(keys) == 1
+    down, across = (1, len(figures)) if single else (len(figures), len(keys))
+    canvas = Figure(figsize=(2.9 * across + 0.6, 2.3 * down + 0.4), layout="constrained")
+    grid = canvas.subplots(down, across, squeeze=False, sharey="none" if single else "row")
+    grid = grid.T if single else grid
     whole = frame["status"].to_numpy() == "complete"
     for column, key in enumerate(keys):
         rows = _line_of(study, key, len(frame)) & whole
@@ -102,7 +106,7 @@ def _responses(study: Study, frame, keys: Sequence[str], figures: Sequence[str])
             _curve(axes, x[good], y[good], colour, study)
             axes.grid(color="#e4e7ea", linewidth=0.6)
             axes.tick_params(labelsize=7)
-            if row == len(figures) - 1:
+            if single or row == len(figures) - 1:
                 axes.set_xlabel(key, fontsize=8)
             if column == 0:
                 axes.set_ylabel(label(figure), fontsize=8)
