@@ -158,7 +158,7 @@ def _add_checks(commands, listed: bool) -> None:
         "levels, slopes and public tables of living eyes beside it: clinic.html and clinic.png.",
         examples=(
             "taichi-eye check clinic corvis_healthy",
-            "taichi-eye check clinic my.toml --healthy corvis_healthy --json mine.json",
+            "taichi-eye check clinic keratoconus --healthy corvis_healthy --json keratoconus.json",
         ),
     )
     options.take(clinic, "scene", "set")

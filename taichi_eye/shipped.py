@@ -6,6 +6,7 @@ They are the files of `configs/` at the top of the repository, `taichi_eye/confi
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from taichi_eye.errors import SceneError
@@ -28,10 +29,10 @@ def named(kind: str = SCENES) -> dict[str, Path]:
 def find(given: str | Path, kind: str = SCENES) -> Path:
     """The file that is meant: a path is itself, a bare name that is no file here is one of those that ship.
 
-    SceneError where a bare name is neither.
+    A bare name has neither folder nor suffix; SceneError where one is neither.
     """
     path = Path(given)
-    if path.suffix or len(path.parts) != 1 or path.exists():
+    if not re.fullmatch(r"[\w-]{1,100}", str(given)) or path.exists():
         return path
     known = named(kind)
     if path.name not in known:

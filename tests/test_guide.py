@@ -16,6 +16,7 @@ from taichi_eye.analysis.response import Response
 from taichi_eye.report.traces import COLUMNS
 from taichi_eye.scene import load_scene
 from taichi_eye.scene.schema import SECTIONS, all_keys
+from taichi_eye.studies.study import load_study
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -82,6 +83,9 @@ def test_every_command_that_is_shown_parses_and_its_scene_is_one(words, capsys):
     except SystemExit as ended:
         assert ended.code == 0, capsys.readouterr().err
         return
+    study = getattr(given, "study", None)
+    if study is not None and study not in OWN:
+        assert load_study(ROOT / study if "/" in study else study).keys
     scene = getattr(given, "scene", None)
     overrides = [entry for entry in getattr(given, "overrides", ()) if not OWN & set(entry.split("="))]
     overrides = [entry for entry in overrides if entry != "puff.time_course=file"]

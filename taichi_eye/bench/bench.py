@@ -17,7 +17,7 @@ import numpy as np
 from tqdm import tqdm
 
 from taichi_eye import backend
-from taichi_eye.bench import batch, default, gpu, growth, packing, peers, startup, step
+from taichi_eye.bench import batch, default, gpu, growth, packing, peers, startup, step, studies
 from taichi_eye.bench.rows import Row
 from taichi_eye.provenance import language
 from taichi_eye.report.folder import create_run_folder, write_text
@@ -30,6 +30,7 @@ PARTS = {
     "growth": growth.measure,
     "packing": packing.measure,
     "batch": batch.measure,
+    "studies": studies.measure,
     "peers": peers.measure,
     "gpu": gpu.measure,
 }

@@ -1,12 +1,14 @@
 """`taichi-eye fit-clinic SCENE --free KEYS`: a scene's named keys fitted to levels and slopes of living eyes at once.
 
 Least squares (SciPy, trust region) over the logarithms of the free keys, whichever numbers of the scene they are, on
-the cavity rung. Residuals: a level's distance from its judging population's mean in standard deviations; a slope's from
-the measured one in its standard error, or in a fifth of it where that is more, so that a factor 1.5 counts as 2.5 (the
-regression's errors say how well 194 eyes know a slope, not how well a model is asked to meet it). A round takes one
-change of each key by STEP for the derivatives; an evaluation five eyes (`taichi_eye.proof.population.starred`), or the
-one where no slope is asked for. What an eye does not show, because a guard stopped it or it does not applanate, counts
-as a residual of MISSING, and so does every eye that is stopped: a fit may not win by losing its worst eye.
+the cavity rung; what the scene's own rung shows otherwise at the start is added to the levels (on `mfpm` a shell snaps
+back more gently than on `cavity`: A2 velocity differs by a standard deviation). Residuals: a level's distance from its
+judging population's mean in standard deviations; a slope's from the measured one in its standard error, or in a fifth
+of it where that is more, so that a factor 1.5 counts as 2.5 (the regression's errors say how well 194 eyes know a
+slope, not how well a model is asked to meet it). A round takes one change of each key by STEP for the derivatives; an
+evaluation five eyes (`taichi_eye.proof.population.starred`), or the one where no slope is asked for. What an eye does
+not show, because a guard stopped it or it does not applanate, counts as a residual of MISSING, and so does every eye
+that is stopped: a fit may not win by losing its worst eye.
 
 A fit ends in the minimum nearest to its start, and there may be others: what rings after the snap makes A2 velocity
 rise and fall with the bending stiffness of corvis_healthy.toml, so that a fit of levels from a tenth above it may stay
@@ -39,7 +41,7 @@ from taichi_eye.scene.schema import all_keys
 
 LEVEL = "level"
 STOPPED = "stopped"  # the name of the target that counts stopped eyes
-STEP = 0.02  # of the logarithm of a key, for derivatives
+STEP = 0.05  # of the logarithm of a key, for derivatives: what rings after the snap makes smaller ones noisy
 REACH = 20.0  # a key may go that factor up and down
 SHARE = 0.2  # of a measured slope, the least that its residual is counted in
 MISSING = 10.0
@@ -104,6 +106,19 @@ def figures(scene: Scene, targets: Sequence[Target], tell: Callable[[], None] = 
     return out
 
 
+def levels_beyond(own: Scene, cheap: Scene, targets: Sequence[Target]) -> list[float]:
+    """What each level of a scene is on its own rung less that on a cheap one, 0 where either does not show it."""
+    if own.numerics.fidelity == cheap.numerics.fidelity:
+        return [0.0] * len(targets)
+    eyes = [simulate(scene, scene.eye.iop_mmhg, 1e3 * scene.cornea.thickness_mm) for scene in (own, cheap)]
+    apart = []
+    for target in targets:
+        values = [getattr(eye.response, target.name, None) for eye in eyes]
+        shown = target.unit == LEVEL and None not in values and not any(eye.stopped for eye in eyes)
+        apart.append(values[0] - values[1] if shown else 0.0)
+    return apart
+
+
 def residuals(found: Sequence[float | None], targets: Sequence[Target]) -> np.ndarray:
     """Distances from the targets in their scales."""
     return np.array(
@@ -158,18 +173,20 @@ def fit(
     tell: Callable[[float], None] = lambda cost: None,
 ) -> Fit:
     """Fit the named keys of a scene; tell(best cost so far) after each eye. SceneError where it cannot start."""
-    scene = with_numerics(scene, fidelity="cavity")
+    own, scene = scene, with_numerics(scene, fidelity="cavity")
     start = free_keys(scene, names)
     low, high = _bounds(start)
     seen: dict[bytes, list[float | None]] = {}
     best = [np.inf]
+    dearer = levels_beyond(own, scene, targets)
 
     def at(x: np.ndarray) -> list[float | None]:
         key = np.asarray(x).tobytes()
         if key not in seen:
             try:
                 moved = scene.but({name: value * float(np.exp(z)) for (name, value), z in zip(start.items(), x)})
-                seen[key] = figures(moved, targets, lambda: tell(best[0]))
+                found = figures(moved, targets, lambda: tell(best[0]))
+                seen[key] = [None if value is None else value + more for value, more in zip(found, dearer)]
             except SceneError:
                 seen[key] = [None] * len(targets)
             best[0] = min(best[0], _cost(residuals(seen[key], targets)))

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from taichi_eye import backend
+from taichi_eye.eye.jet import central_curvature
 from taichi_eye.film import FilmView, FrameState
 from taichi_eye.ladder.rungs import needs_cloud
 from taichi_eye.report.compare import Measured
@@ -80,6 +81,15 @@ class Moment:
         return self.simulation.liquid() if needs_cloud(self.recording.scene) else (None, None, None, 0)
 
     @cached_property
+    def load(self) -> np.ndarray | None:
+        """Share of the apex pressure on the wall's nodes, where the air feels the dent; None where it does not."""
+        eye = self.simulation.eye
+        if not eye.puff.dent_feedback:
+            return None
+        rest = eye.section.cornea_nodes(len(self.wall) - 1)[:, 0]
+        return eye.puff.radial(rest, central_curvature(self.wall, rest))
+
+    @cached_property
     def image(self) -> np.ndarray:
         """The frame of the film, uint8."""
         place, velocity, pressure, count = self.liquid
@@ -96,6 +106,7 @@ class Moment:
                 trace_time_ms=traces["time_ms"],
                 trace_apex_mm=traces["apex_displacement_mm"],
                 trace_puff_kpa=traces["puff_apex_kpa"],
+                puff_radial=self.load,
                 retreat_mm=self.retreat_mm,
             )
         )

@@ -26,7 +26,8 @@ Volume. p0 is the multiplier of V(x) = V0 - C p0 at the END of the step, found b
 a stiff chamber costs no time step and its volume does not drift. C is the compliance of the globe
 (`taichi_eye.solver.globe`, whose law and delay may make another volume of its C p0) plus V0 / K with K the bulk modulus
 of water. Where C is so soft that the chamber's own mode is resolved, p0 = (V0 - V)/C of the start of the step: the
-end's value would damp it. In an open chamber p0 = 0.
+end's value would damp it. That is decided in the first steps of a run: a change between the two rings. In an open
+chamber p0 = 0.
 
 Time: leapfrog, the membrane's in-plane waves (and bending) set the step. A sample's steps run inside one kernel.
 """
@@ -72,6 +73,7 @@ class WallStepper:
             ti.field(fp, ()) for _ in range(5)
         )
         self.last_dt, self.largest_work = ti.field(fp, 1), ti.field(fp, 1)
+        self.resolved = ti.field(fp, 1)  # 1 where the chamber's own mode is, else 0
         self.snapshot = Snapshot(
             {
                 **cornea.evolving(),
@@ -88,6 +90,7 @@ class WallStepper:
                 **self.globe.evolving(),
                 "map_progress": self.progress,
                 "last_dt": self.last_dt,
+                "chamber_resolved": self.resolved,
                 "largest_work": self.largest_work,
             },
         )
@@ -271,7 +274,9 @@ class WallStepper:
             soft = self.compliance[None]
             full = self.rest_volume[None] - (1.0 - followed) * self.globe.taken_up[0]
             held, compliance = self.globe.uptake(0, followed, soft, p0)
-            if yielding < compliance:
+            if self.steps[None] == 0:
+                self.resolved[0] = ti.select(yielding < compliance, 1.0, 0.0)
+            if self.resolved[0] > 0.0:
                 change = self.globe.pressure_for(0, followed, soft, full - self._volume_at(self.cornea.place)) - p0
             else:
                 for _ in range(4):

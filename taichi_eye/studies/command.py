@@ -23,7 +23,11 @@ def add(commands) -> None:
         "table: table.parquet, table.csv, columns.csv, plots, study.html. A study that was cut off goes on with "
         "--resume.",
         epilog="How a study is written: taichi-eye docs sweep",
-        examples=("taichi-eye sweep my_study.toml --threads 2", "taichi-eye sweep --resume renders/my_study-001"),
+        examples=(
+            "taichi-eye sweep iop_chart",
+            "taichi-eye sweep my_study.toml --threads 2",
+            "taichi-eye sweep --resume renders/my_study-001",
+        ),
     )
     parser.add_argument("study", nargs="?", help="study file (TOML), or the name of a study that ships")
     take(
@@ -72,10 +76,14 @@ def run(given: argparse.Namespace) -> int:
         print(f"{result.folder}: this study was finished already")
     status, took = result.summary["status"], result.summary["wall_clock"]
     for reason, eyes in result.summary["reasons"].items():
-        print(f"{eyes} eye{'s' * (eyes > 1)}: {reason}")
+        print(f"{_eyes(eyes)}: {reason}")
     counts = ", ".join(f"{eyes} {name}" for name, eyes in status.items() if eyes)
-    print(f"{result.folder}: {result.summary['eyes']} eyes ({counts}), {took['compute_s']:.1f} s")
+    print(f"{result.folder}: {_eyes(result.summary['eyes'])} ({counts}), {took['compute_s']:.1f} s")
     return 0 if status["complete"] else 1
+
+
+def _eyes(number: int) -> str:
+    return f"{number} eye{'s' * (number != 1)}"
 
 
 def refuse_bad_table(path: str) -> None:

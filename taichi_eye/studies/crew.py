@@ -25,6 +25,7 @@ from typing import Any
 import taichi_eye
 
 LENGTH = struct.Struct(">Q")  # before every message: the number of its bytes
+PATIENCE_S = 20.0  # for a worker to end by itself
 TRIES = 2  # of an eye whose worker dies
 Rows = list[dict[str, Any]]
 Job = tuple[int, Sequence[Mapping[str, Any]]]  # a parcel's number and what its eyes change
@@ -44,6 +45,7 @@ class Worker:
 
     def __init__(self, compute: str, threads: int):
         self.compute, self.threads, self.closed = compute, threads, False
+        self._busy = False
         self._process: subprocess.Popen | None = None
         self._said: Any = None
         self._common: Any = None
@@ -56,6 +58,7 @@ class Worker:
                 if self.closed:
                     raise Closed
                 self._start()
+        self._busy = True
         try:
             if self._common is not common:
                 write(self._process.stdin, {"compute": self.compute, "common": common})
@@ -69,6 +72,7 @@ class Worker:
                 if self.closed:
                     raise Closed
                 raise Died(self._ended())
+        self._busy = False
         return answer["rows"]
 
     def _start(self) -> None:
@@ -108,9 +112,17 @@ class Worker:
         """End the process for good; what it has under way is dropped."""
         with self._door:
             self.closed = True
-            if self._process is not None:
-                self._process.kill()
-                self._process.wait()
+            if self._process is None:
+                return
+            if not self._busy:
+                # at the end of its input it keeps the kernels that it has compiled
+                self._process.stdin.close()
+                try:
+                    self._process.wait(PATIENCE_S)
+                except subprocess.TimeoutExpired:
+                    pass
+            self._process.kill()
+            self._process.wait()
 
 
 def answered(worker: Worker, common: Mapping[str, Any], items: Sequence[Mapping[str, Any]]) -> Rows:

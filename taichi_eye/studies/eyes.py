@@ -46,8 +46,11 @@ def measure(common: Mapping[str, Any], items: Sequence[Mapping[str, Any]]) -> li
             scenes[number] = base.but(_moved(changes, places))
         except SceneError as refused:
             rows[number] = {"status": "refused", "reason": str(refused).replace("\n", "; ")}
-    for number, found in zip(scenes, _observed(list(scenes.values()))):
-        rows[number] = _row(found, common["inputs"], {place: path for path, place in places.items()})
+    paths = {place: path for path, place in places.items()}
+    for (number, scene), found in zip(scenes.items(), _observed(list(scenes.values()))):
+        asked = scene.values()
+        inputs = {name: paths.get(asked[name], asked[name]) for name in common["inputs"]}
+        rows[number] = inputs | _row(found)
     return rows
 
 
@@ -59,7 +62,7 @@ def _observed(scenes: list[Scene]) -> list[Observed | Exception]:
         return [problem] if len(scenes) == 1 else [found for scene in scenes for found in _observed([scene])]
 
 
-def _row(found: Observed | Exception, inputs: Sequence[str], paths: Mapping[str, str]) -> dict[str, Any]:
+def _row(found: Observed | Exception) -> dict[str, Any]:
     if isinstance(found, SceneError):
         return {"status": "refused", "reason": str(found).replace("\n", "; ")}
     if isinstance(found, Exception):
@@ -68,9 +71,8 @@ def _row(found: Observed | Exception, inputs: Sequence[str], paths: Mapping[str,
         reading = found.read()
     except Exception as problem:
         return {"status": "failed", "reason": f"its response cannot be read: {type(problem).__name__}: {problem}"}
-    values, stop = found.scene.values(), found.outcome.stop
-    row = {name: paths.get(values[name], values[name]) for name in inputs}
-    row |= {"fidelity": found.scene.numerics.fidelity, **asdict(reading.response), **_summary(found.outcome.traces)}
+    stop = found.outcome.stop
+    row = {"fidelity": found.scene.numerics.fidelity, **asdict(reading.response), **_summary(found.outcome.traces)}
     reason = str(stop) if stop else reading.stopped or None
     return {**row, "status": "stopped" if stop else "complete", "reason": reason}
 

@@ -15,7 +15,7 @@ from taichi_eye.report.folder import replacing
 from taichi_eye.report.page import COLOURS, embedded, plain, table, write_page
 from taichi_eye.studies.columns import UNITS, unit_of
 from taichi_eye.studies.matters import Effect
-from taichi_eye.studies.study import KINDS, LEVELLED, Study
+from taichi_eye.studies.study import KINDS, Study
 
 KEYS_MAX = 8  # columns of the response curves
 SCATTERED = 6, 4  # keys and figures of the scatter matrix, at most
@@ -90,8 +90,12 @@ def _foremost(study: Study, frame, found: Sequence[Effect]) -> list[str]:
 
 
 def _responses(study: Study, frame, keys: Sequence[str], figures: Sequence[str]) -> Figure:
-    canvas = Figure(figsize=(2.9 * len(keys) + 0.6, 2.3 * len(figures) + 0.4), layout="constrained")
-    grid = canvas.subplots(len(figures), len(keys), squeeze=False, sharey="row")
+    # a row for each figure and a column for each key; of a single key the figures stand side by side
+    single = len(keys) == 1
+    down, across = (1, len(figures)) if single else (len(figures), len(keys))
+    canvas = Figure(figsize=(2.9 * across + 0.6, 2.3 * down + 0.4), layout="constrained")
+    grid = canvas.subplots(down, across, squeeze=False, sharey="none" if single else "row")
+    grid = grid.T if single else grid
     whole = frame["status"].to_numpy() == "complete"
     for column, key in enumerate(keys):
         rows = _line_of(study, key, len(frame)) & whole
@@ -102,7 +106,7 @@ def _responses(study: Study, frame, keys: Sequence[str], figures: Sequence[str])
             _curve(axes, x[good], y[good], colour, study)
             axes.grid(color="#e4e7ea", linewidth=0.6)
             axes.tick_params(labelsize=7)
-            if row == len(figures) - 1:
+            if single or row == len(figures) - 1:
                 axes.set_xlabel(key, fontsize=8)
             if column == 0:
                 axes.set_ylabel(label(figure), fontsize=8)
@@ -125,9 +129,11 @@ def _curve(axes, x: np.ndarray, y: np.ndarray, colour: str, study: Study) -> Non
     if not len(x):
         return
     levels = np.unique(x)
-    if len(levels) == len(x) and (study.kind in LEVELLED or len(study.factors) == 1):
-        order = np.argsort(x)
-        axes.plot(x[order], y[order], "o-", color=colour, markersize=3, linewidth=1.3)
+    if study.kind == "one_at_a_time" or len(study.factors) == 1 and len(levels) == len(x):
+        # a level of the scene's own eye stands there twice
+        axes.plot(
+            levels, [np.median(y[x == level]) for level in levels], "o-", color=colour, markersize=3, linewidth=1.3
+        )
         return
     shown = _some(len(x))
     axes.plot(x[shown], y[shown], ".", color=colour, alpha=0.4, markersize=_dot(len(shown)), markeredgewidth=0)
@@ -209,6 +215,8 @@ def _bars(study: Study, found: Sequence[Effect]) -> Figure:
         some = [of_figure[key] for key in order]
         _BARS[study.kind if study.kind in _BARS else "slopes"](axes, place, some)
         axes.set_axisbelow(True)
+        axes.use_sticky_edges = False
+        axes.margins(x=0.06)
         axes.axvline(0.0, color=GREY, linewidth=0.8)
         axes.set_title(label(figure), fontsize=8)
         axes.set_yticks(range(len(keys)), keys, fontsize=7)

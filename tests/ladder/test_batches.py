@@ -9,8 +9,10 @@ from taichi_eye.errors import SceneError
 from taichi_eye.ladder import batches
 from taichi_eye.ladder.batches import run_batch
 from taichi_eye.ladder.rungs import simulation_of
+from taichi_eye.ladder.trial import run_to_stop
 from taichi_eye.scene import load_scene
 from taichi_eye.solver.case import clouds_of
+from taichi_eye.units import MM
 
 BASE = ("numerics.spacing_mm=0.4", "numerics.sound_speed_m_s=20", "numerics.duration_ms=6", "puff.duration_ms=12")
 KEYS = [
@@ -101,3 +103,23 @@ def test_a_scene_that_cannot_be_filled_is_named():
     coarse = replace(scene(()), numerics=replace(scene(()).numerics, spacing_mm=2.0))
     with pytest.raises(SceneError, match="scene 1 of the batch: numerics.spacing_mm = 2"):
         run_batch([scene(()), coarse])
+
+
+def test_frames_are_those_of_each_eye_alone_once_and_in_order(scenes):
+    seen = {k: [] for k in range(len(scenes))}
+    batches.run_batch(scenes, on_frame=lambda k, time_ms, wall: seen[k].append((time_ms, wall)))
+    for k, each in enumerate(scenes):
+        alone = []
+        simulation = simulation_of(each)
+
+        def look(run, _, alone=alone):
+            alone.append((run.time_ms, run.cornea.place.to_numpy()[: run.wall_count] / MM))
+
+        run_to_stop(simulation, look)
+        assert len(seen[k]) == len(alone) > 1
+        for (time_ms, wall), (time, place) in zip(seen[k], alone):
+            assert time_ms == pytest.approx(time, rel=1e-12)
+            np.testing.assert_array_equal(wall, place)
+        del simulation
+    with pytest.raises(ValueError, match="leave out keep or on_frame"):
+        run_batch(scenes, keep="x", on_frame=print)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import uniform_filter1d
 
 from taichi_eye.ladder.rungs import simulation_of
 from taichi_eye.rungs import RUNGS
@@ -27,7 +28,8 @@ def swept_share(simulation, walls):
 
 @pytest.fixture(scope="module")
 def runs():
-    """Traces at film frames, swept volume there and volume of the globe, by rung; the full rung last."""
+    """Traces at film frames, swept volume there, the eye, and means of the traces over a frame, by rung; the full rung
+    last."""
     found = {}
     for name in RUNGS:
         if name == "membrane":
@@ -39,7 +41,8 @@ def runs():
         traces = simulation.run(on_frame=wall)
         every = simulation.clock.samples_per_frame
         at_frames = {column: values[::every][: len(walls)] for column, values in traces.items()}
-        found[name] = at_frames, swept_share(simulation, walls), simulation.eye
+        calm = {column: uniform_filter1d(values, every)[::every][: len(walls)] for column, values in traces.items()}
+        found[name] = at_frames, swept_share(simulation, walls), simulation.eye, calm
     return found
 
 
@@ -50,7 +53,7 @@ def test_every_rung_has_every_column(runs):
 
 @pytest.mark.parametrize("name", RUNGS)
 def test_volume_error_is_what_the_liquid_is_compressed_by_or_what_has_left(name, runs):
-    traces, swept, eye = runs[name]
+    traces, swept, eye, _ = runs[name]
     held = 0.0
     if name != "membrane":
         rise = (traces["fluid_pressure_apex_kpa"] - traces["fluid_pressure_apex_kpa"][0]) * 1e3
@@ -67,7 +70,8 @@ def test_volume_error_is_what_the_liquid_is_compressed_by_or_what_has_left(name,
 )
 @pytest.mark.parametrize("name", ["cavity", "added_mass"])
 def test_rungs_agree_within_what_they_leave_out(name, column, runs):
-    found, full = runs[name][0][column], runs["mfpm"][0][column]
+    # means over a film frame: under the apex node of the resolved liquid a wave of 13 kHz comes and goes
+    found, full = runs[name][3][column], runs["mfpm"][3][column]
     # under the apex inertia adds a twentieth to a uniform pressure
     share = 0.08 if (name, column) == ("cavity", "fluid_pressure_apex_kpa") else 0.04
     assert found == pytest.approx(full, abs=share * np.ptp(full))

@@ -73,8 +73,10 @@ def test_energy_balances_the_closer_the_smaller_the_step(model):
     for cfl in (0.8, 0.4):
         traces = run(model, f"numerics.cfl={cfl}", *puff).traces
         errors.append(np.abs(traces["energy_error_uj"]).max() / traces["puff_work_uj"].max())
-    assert errors[0] < 5e-3
-    assert errors[1] < 0.8 * errors[0]
+    # of added mass what is left is the ageing of its maps, whatever the step
+    assert max(errors) < (5e-4 if model == "added_mass" else 1e-4)
+    if model != "added_mass":
+        assert errors[1] < 0.8 * errors[0]
 
 
 def test_cavity_converges_at_second_order():

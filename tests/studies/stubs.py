@@ -40,6 +40,13 @@ def ishigami(common, items):
     return [{"deformation_amplitude_mm": float(one), "status": "complete"} for one in value]
 
 
+def exams(common, items):
+    """Rows as the reading of films gives them."""
+    figures = {"a1_time_ms": 7.25, "peak_distance_mm": 4.5, "frames": 139, "notes": common.get("note")}
+    bad = {"status": "refused", "reason": "no film"}
+    return [bad if "bad" in item["exam"] else {**figures, "status": "complete", "reason": None} for item in items]
+
+
 def _row(item):
     iop, thickness = item["eye.iop_mmhg"], item.get("cornea.thickness_mm", 0.55)
     figures = {"deformation_amplitude_mm": 2.0 - 0.05 * iop - thickness, "a1_time_ms": 5.0 + 0.15 * iop}

@@ -17,7 +17,7 @@ KEYS = "eye.iop_mmhg", "cornea.thickness_mm", "puff.peak_kpa"
 
 def test_sobol_indices_of_a_known_function_lie_within_their_intervals(tmp_path):
     study = {
-        "design": {"kind": "sensitivity", "base_samples": 2048, "seed": 4},
+        "design": {"kind": "sensitivity", "base_samples": 1024, "seed": 4},
         "show": ["deformation_amplitude_mm"],
         "set": {"numerics.fidelity": "cavity"},
         "vary": {
@@ -27,7 +27,7 @@ def test_sobol_indices_of_a_known_function_lie_within_their_intervals(tmp_path):
         },
     }
     result = sweep(study, tmp_path / "out", threads=1, compute="stubs:ishigami")
-    assert result.summary["eyes"] == 2048 * 5 == result.summary["status"]["complete"]
+    assert result.summary["eyes"] == 1024 * 5 == result.summary["status"]["complete"]
     lines = (tmp_path / "out" / "matters.csv").read_text().splitlines()
     head, rows = lines[0].split(","), [line.split(",") for line in lines[1:]]
     found = {row[1]: dict(zip(head, row)) for row in rows}
@@ -37,7 +37,7 @@ def test_sobol_indices_of_a_known_function_lie_within_their_intervals(tmp_path):
         for value, interval, exact in (("first", "first_interval", first), ("value", "interval", total)):
             # 95 % intervals of six indices: once more as wide is 1e-4 for one
             assert abs(float(row[value]) - exact) < 2.0 * float(row[interval]) + 1e-3, (key, value)
-            assert float(row[interval]) < 0.12
+            assert float(row[interval]) < 0.2
     assert (tmp_path / "out" / "matters.png").stat().st_size > 5000
 
 
