@@ -19,6 +19,7 @@ __all__ = [
     "SceneError",
     "Simulation",
     "dump_scene",
+    "estimate",
     "init",
     "load_scene",
     "resume",
@@ -47,6 +48,10 @@ def __getattr__(name):
         from taichi_eye.ladder.batches import run_batch
 
         return run_batch
+    if name == "estimate":
+        from taichi_eye.estimation.estimate import estimate
+
+        return estimate
     if name in ("run", "resume", "RunResult"):
         from taichi_eye import pipeline
 

@@ -1,5 +1,5 @@
-"""The command line: `taichi-eye run SCENE.toml`, `analyze FILM`, `chart SCENE.toml`, and `verify`, `stability`,
-`clinic`, `fit-clinic`, `claims`, `films`, `choices`, `bench`.
+"""The command line: `taichi-eye run SCENE.toml`, `analyze FILM`, `estimate DATA`, `chart SCENE.toml`, and `calibrate`,
+`verify`, `stability`, `clinic`, `fit-clinic`, `claims`, `films`, `choices`, `bench`.
 
 Exit status: 0 done; 1 the run left its validity and was stopped (what was computed so far is in the run folder), or a
 row of `verify`, `films`, `choices` or `bench` does not hold, or a file or standard output could not be written; 2 bad
@@ -14,6 +14,7 @@ from pathlib import Path
 
 from taichi_eye import backend, console
 from taichi_eye.errors import FilmError, OutputError, RunStopped, SceneError
+from taichi_eye.estimation import command as estimate
 
 
 def parser() -> argparse.ArgumentParser:
@@ -127,6 +128,7 @@ def parser() -> argparse.ArgumentParser:
     claims.add_argument("--quiet", action="store_true", help="no progress bar")
     claims.set_defaults(do=_claims)
     _add_chart(commands)
+    estimate.add(commands)
     return top
 
 
