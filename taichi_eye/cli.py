@@ -1,9 +1,9 @@
 """The command line: `taichi-eye run SCENE.toml`, `analyze FILM`, `estimate DATA`, `chart SCENE.toml`, and `calibrate`,
-`verify`, `stability`, `clinic`, `fit-clinic`, `claims`, `films`, `choices`, `bench`.
+`estimates`, `verify`, `stability`, `clinic`, `fit-clinic`, `claims`, `films`, `choices`, `bench`.
 
 Exit status: 0 done; 1 the run left its validity and was stopped (what was computed so far is in the run folder), or a
-row of `verify`, `films`, `choices` or `bench` does not hold, or a file or standard output could not be written; 2 bad
-input, nothing written; 130 interrupted, 143 ended by SIGTERM, 129 by SIGHUP.
+row of `verify`, `films`, `estimates`, `choices` or `bench` does not hold, or a file or standard output could not be
+written; 2 bad input, nothing written; 130 interrupted, 143 ended by SIGTERM, 129 by SIGHUP.
 """
 
 import argparse
@@ -12,9 +12,8 @@ import signal
 import sys
 from pathlib import Path
 
-from taichi_eye import backend, console
+from taichi_eye import backend, console, estimate_cli
 from taichi_eye.errors import FilmError, OutputError, RunStopped, SceneError
-from taichi_eye.estimation import command as estimate
 
 
 def parser() -> argparse.ArgumentParser:
@@ -128,7 +127,7 @@ def parser() -> argparse.ArgumentParser:
     claims.add_argument("--quiet", action="store_true", help="no progress bar")
     claims.set_defaults(do=_claims)
     _add_chart(commands)
-    estimate.add(commands)
+    estimate_cli.add(commands)
     return top
 
 

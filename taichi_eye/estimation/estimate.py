@@ -5,8 +5,8 @@
     found["iop_mmhg"].value, found["iop_mmhg"].range95
 
 What is fitted, and with what, is told in `taichi_eye.estimation.fit`; what may be unknown in `unknowns`; what the model
-gets wrong in `model_error`. An estimate is an eye of the scene's model: it is worth what the scene is worth, and says so
-by a model error in its intervals.
+gets wrong in `model_error`. An estimate is an eye of the scene's model: it is worth what the scene is worth, and says
+so by a model error in its intervals.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from taichi_eye.analysis.analyze import Analysis
 from taichi_eye.errors import SceneError
 from taichi_eye.estimation import model_error as errors
 from taichi_eye.estimation.calibration import Calibration
-from taichi_eye.estimation.fit import SD_68, SD_95, Problem, Solution, interval, on_bound, profile, solve, solve_many
+from taichi_eye.estimation.fit import SD_68, SD_95, Problem, Solution, interval, on_bound, profiled, solve, solve_many
 from taichi_eye.estimation.observation import Observation
 from taichi_eye.estimation.reading import read
 from taichi_eye.estimation.unknowns import IOP, UNKNOWNS, Known, beforehand
@@ -106,6 +106,12 @@ class Estimate:
 
     def __getitem__(self, name: str) -> Quantity:
         return next(quantity for quantity in self.quantities if quantity.name == name)
+
+    @property
+    def laplace_mmhg(self) -> float:
+        """Standard deviation of the IOP, were the problem linear: what shares and costs are held against."""
+        k = self.problem.before.names.index(IOP)
+        return self[IOP].value * float(np.sqrt(self.solution.covariance[k, k]))
 
     @cached_property
     def scene(self) -> Scene:
@@ -209,7 +215,7 @@ def as_known(name: str, value) -> Known:
 def finished(problem: Problem, solution: Solution, started: float, film: Analysis | None = None, notes=()) -> Estimate:
     """All that is reported of a solution."""
     before, seen, model = problem.before, problem.seen, problem.model
-    place, root = profile(problem, solution)
+    solution, place, root = profiled(problem, solution)
     iop, k = float(np.exp(solution.place[before.names.index(IOP)])), before.names.index(IOP)
     deviations = np.sqrt(np.diag(solution.covariance))
     quantities = []

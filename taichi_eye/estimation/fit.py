@@ -25,7 +25,7 @@ no eye of this model, and there is no estimate.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
@@ -40,18 +40,22 @@ from taichi_eye.estimation.observation import Observation
 from taichi_eye.estimation.unknowns import IOP, Beforehand
 from taichi_eye.scene import Scene
 
-# of a logarithm, for derivatives, and how far they hold: where a shell snaps, those by the IOP change by 4 % in .005
-STEP, NEAR = 0.002, 0.003
+# of a logarithm, for derivatives: so much of what the data know it to, within limits. Small, for where a shell snaps
+# the derivatives by the IOP change by 4 % in .005; not smaller, for runs scatter by what their step counts do
+STEP_SD, STEPS = 0.5, (0.002, 0.02)
+NEAR = 1.5  # of these steps: derivatives hold so far
 TOLERANCE = 1e-5
 EVALUATIONS = 25
 STARTS_MMHG = 6.0, 8.0, 10.5, 13.5, 17.0, 22.0, 29.0, 38.0, 50.0
 SETTLED, ROUNDS = 0.1, 6
+LEAST_MOVE = 0.2  # standard deviations between two fine runs that a derivative is taken from
 HOP, HOPS, LOWER = 2.5, 2, 0.5
 CHEAPEST = "membrane", "cavity"  # rungs that nothing is cheaper than
 LEFT_OUT = 0.5, 0.15  # of `CAVITY`: what added mass leaves out, and more to begin with
 DETOURS = 0.0, 0.05, 0.1  # of ln IOP, where a fine run is stopped: a shell folds less the higher its pressure
 WIDEN_P, REFUSED_P, WIDEST = 0.05, 1e-4, 5.0
 PROFILE_SD = 0.7, 1.4, 2.1, 2.8
+PROFILE_STEPS = 3
 GAIN = 0.05  # of the sum of squares along a profile, below which it is not made less
 SD_68, SD_95 = 1.0, 1.959964
 ON_BOUND = 0.02  # of the way between the bounds
@@ -72,7 +76,7 @@ class Defect:
         """A fine run's; scale [unknowns]: that of the places, for Broyden's update."""
         if self.place is not None:
             moved = (place - self.place) / scale
-            if moved @ moved > 1e-4:
+            if moved @ moved > LEAST_MOVE**2:
                 self.slopes = self.slopes + np.outer(value - self.at(place), moved / scale) / (moved @ moved)
         self.place, self.value = place.copy(), value
 
@@ -93,6 +97,7 @@ class Problem:
     def __post_init__(self):
         self.defect = Defect(len(self.seen.values), len(self.before.names))
         values, vectors = np.linalg.eigh(self.before.precision)
+        self._steps = np.full(len(self.before.names), STEPS[0])
         self._prior = np.sqrt(np.clip(values, 0.0, None))[:, None] * vectors.T
         self._noise = self.seen.noise()
         self.climb("membrane" if self.before.base.numerics.fidelity == "membrane" else "cavity")
@@ -146,11 +151,11 @@ class Problem:
 
     def slopes(self, place: np.ndarray) -> np.ndarray:
         """Derivatives of the prediction and its defect [n, unknowns], those of a place nearby where there are any."""
-        if self._slopes is not None and np.abs(place - self._slopes[0]).max() <= NEAR:
+        if self._slopes is not None and (np.abs(place - self._slopes[0]) <= NEAR * self._steps).all():
             return self._slopes[1] + self.defect.slopes
         here, columns = self.predict(place), []
         for k in range(len(place)):
-            for step in (STEP, -STEP):
+            for step in (self._steps[k], -self._steps[k]):
                 moved = np.array(place, float)
                 moved[k] += step
                 column = (self.predict(moved) - here) / step
@@ -158,6 +163,8 @@ class Problem:
                     break
             columns.append(np.nan_to_num(column))
         self._slopes = np.array(place, float), np.array(columns).T
+        known = (self.whitened(self._slopes[1]) ** 2).sum(axis=0) + np.diag(self.before.precision)
+        self._steps = np.clip(STEP_SD / np.sqrt(np.maximum(known, 1e-12)), *STEPS)
         return self._slopes[1] + self.defect.slopes
 
     def jacobian(self, place: np.ndarray) -> np.ndarray:
@@ -166,7 +173,8 @@ class Problem:
 
     def information(self, place: np.ndarray, rows: np.ndarray | None = None) -> np.ndarray:
         """What the data (those of `rows`) tell of the unknowns: the inverse covariance."""
-        slopes = self.slopes(place)
+        # the cheap model's alone: Broyden's few directions serve a search, and are no derivative in any other
+        slopes = self.slopes(place) - self.defect.slopes
         if rows is None:
             white = self.whitened(slopes)
             return white.T @ white
@@ -177,7 +185,7 @@ class Problem:
 
     def information_of_noise(self, place: np.ndarray) -> np.ndarray:
         """What the data would tell were there no model error."""
-        slopes = self.slopes(place)
+        slopes = self.slopes(place) - self.defect.slopes
         return slopes.T @ np.linalg.solve(self._noise, slopes)
 
     def sums(self, place: np.ndarray, factor: float) -> float:
@@ -278,25 +286,35 @@ def _solving(problem: Problem, finely: bool) -> Generator[Scene, Motion, Solutio
         place = _best(problem, [place])
     degrees = len(problem.seen.values) - int((np.diag(problem.before.precision) == 0.0).sum())
     place = _widened(problem, place, degrees)
+    rung = rung if finely and not stopped else problem.rung
+    like = Solution(place, np.empty(0), 0.0, degrees, 0.0, rung, rounds, stopped, settled or not finely)
+    return _solution(problem, place, like)
+
+
+def _solution(problem: Problem, place: np.ndarray, like: Solution) -> Solution:
+    """A solution at a place, otherwise like another."""
     cost = problem.cost(place)
-    return Solution(
-        place,
-        _covariance(problem, place),
-        cost,
-        degrees,
-        float(chi2.sf(cost, degrees)),
-        rung if finely and not stopped else problem.rung,
-        rounds,
-        stopped,
-        settled or not finely,
-    )
+    probability = float(chi2.sf(cost, like.degrees))
+    covariance = _covariance(problem, place)
+    return replace(like, place=place, covariance=covariance, chi2=cost, probability=probability)
 
 
-def profile(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """ln IOP, rising, and the signed root of the least sum of squares there over the least of all, all others let go.
+def profiled(problem: Problem, solution: Solution) -> tuple[Solution, np.ndarray, np.ndarray]:
+    """The solution with its profile; a lower place that the profile comes upon is the solution."""
+    place, root, lowest = profile(problem, solution)
+    if problem.cost(lowest) < solution.chi2 - LOWER:
+        solution = _solution(problem, _best(problem, [lowest]), solution)
+        place, root, _ = profile(problem, solution)
+    return solution, place, root
+
+
+def profile(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """ln IOP, rising; the signed root of the least sum of squares there over the least of all, all others let go; and
+    the place of the lowest sum met.
 
     The root is the number of standard deviations from the estimate, were the problem linear.
     """
+    lowest = solution.place
     k = problem.before.names.index(IOP)
     rest = [j for j in range(len(solution.place)) if j != k]
     deviation = float(np.sqrt(solution.covariance[k, k]))
@@ -312,7 +330,7 @@ def profile(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.ndarra
             if abs(place[k] - found[0][0]) < 1e-9 or any(abs(place[k] - one) < 1e-9 for one, _ in found):
                 break
             cost = problem.cost(place)
-            for _ in range(2):
+            for _ in range(PROFILE_STEPS):
                 if not rest or not np.isfinite(cost):
                     break
                 slopes = problem.jacobian(place)[:, rest]
@@ -327,11 +345,13 @@ def profile(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.ndarra
                     break
             if not np.isfinite(cost):
                 break
+            if cost < problem.cost(lowest):
+                lowest = place
             found.append((float(place[k]), side * float(np.sqrt(max(cost - solution.chi2, 0.0)))))
     found.sort()
     place, root = np.array(found).T
     # the root rises with the IOP; where runs scatter, it is not let fall
-    return place, np.maximum.accumulate(root)
+    return place, np.maximum.accumulate(root), lowest
 
 
 def interval(

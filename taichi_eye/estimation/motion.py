@@ -12,23 +12,25 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from taichi_eye.analysis.curves import Curves, curves_from_wall
 from taichi_eye.analysis.response import Histories, histories
+from taichi_eye.cloud.packing import Cloud, pack
 from taichi_eye.eye.eye import REFERENCE_IOP, Eye, eye_of
+from taichi_eye.eye.section import Section
 from taichi_eye.ladder.batches import run_batch
 from taichi_eye.ladder.choose import choose
 from taichi_eye.ladder.trial import run_scene, run_to_stop
 from taichi_eye.scene import Scene
-from taichi_eye.scene.schema import AUTO
 from taichi_eye.solver.reduced import AddedMass, Cavity, Membrane
 from taichi_eye.units import MM, MM3, MMHG, MS
 
 ELEMENTS = {"membrane": 32, "cavity": 32, "added_mass": 24}
 RUNS = {"membrane": Membrane, "cavity": Cavity, "added_mass": AddedMass}
+TRAVEL = 1.5  # of the wall in spacings between two flow maps: 0.5 um of the apex, and half the time
 FRIEDENWALD_MMHG = REFERENCE_IOP / MMHG  # at which such a globe is named
 FRAMES_LEAST = 30  # fewer show no response
 
@@ -75,15 +77,23 @@ def cheap(scene: Scene, rung: str = "cavity") -> Motion:
     changes = {
         "numerics.fidelity": rung,
         "numerics.spacing_mm": spacing,
-        "numerics.refresh_travel": AUTO,
+        "numerics.refresh_travel": TRAVEL,
         **_softer(scene),
     }
-    run = RUNS[rung](scene.but(changes, within_limits=False))
+    changed = scene.but(changes, within_limits=False)
+    cloud = _packed(eye_of(changed).section, spacing * MM) if rung == "added_mass" else None
+    run = RUNS[rung](changed, cloud)
     run.judges_folding = False
     stop = run_to_stop(run)
     traces, (frame_ms, walls) = run.traces, run.wall_mm
     apex = np.array(traces["apex_displacement_mm"])
     return Motion(scene, np.array(traces["time_ms"]), apex, frame_ms, walls.copy(), str(stop) if stop else "")
+
+
+@lru_cache(maxsize=8)
+def _packed(section: Section, spacing: float) -> Cloud:
+    """A chamber's nodes, packed once: a search changes the chamber only with its radius."""
+    return pack(section, spacing)
 
 
 def _wall_mm(scene: Scene) -> float:

@@ -60,8 +60,7 @@ def lines(found: Estimate) -> list[str]:
         head = ["", *names]
         body = [[name, *(f"{value:+.2f}" for value in row)] for name, row in zip(names, found.correlation)]
         out += _columns([head, *body])
-    own = found[IOP].deviation
-    out += ["", f"what carried the IOP (+- {own:.2g} mmHg): its standard deviation without"]
+    out += ["", f"what carried the IOP (standard deviation {found.laplace_mmhg:.2g} mmHg): the same without"]
     out += _columns([[share.part, f"{share.count} values", f"{share.deviation_without:.2g}"] for share in found.shares])
     if found.costs:
         out += ["", "what not knowing costs the IOP, mmHg: known exactly, as it is, not at all"]

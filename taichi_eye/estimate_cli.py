@@ -1,4 +1,4 @@
-"""`taichi-eye estimate DATA` and `taichi-eye calibrate DATA...`: their arguments, and what they print and write."""
+"""The command line of `estimate DATA`, `calibrate DATA...` and `estimates SCENE`: arguments, output."""
 
 from __future__ import annotations
 
@@ -60,6 +60,46 @@ def add(commands) -> None:
     _add_model(calibrate)
     calibrate.add_argument("--json", metavar="FILE", required=True, help="where the calibration goes")
     calibrate.set_defaults(do=_calibrate)
+    _add_study(commands)
+
+
+def _add_study(commands) -> None:
+    study = commands.add_parser(
+        "estimates",
+        help="put the estimate to eyes whose pressure is known",
+        description="Estimates of made eyes of a scene: how far off, and whether their intervals hold the truth; by "
+        "traces, by films, with a wrong puff, by other models. Writes one table and one page; 40 eyes take two hours.",
+    )
+    study.add_argument("scene", help="scene file (TOML)")
+    study.add_argument(
+        "--set", dest="overrides", metavar="SECTION.KEY=VALUE", action="append", default=[], help="override a key"
+    )
+    study.add_argument("--only", metavar="NAME", action="append", default=[], help="one part of it; may be repeated")
+    study.add_argument("--eyes", type=_count, default=40, metavar="N", help="eyes of a part (40)")
+    study.add_argument("--seed", type=int, default=14, metavar="N", help="of the eyes and their noise (14)")
+    study.add_argument("--json", metavar="FILE", help="the figures as JSON")
+    study.add_argument("--out", metavar="DIR", help="folder of the page, new or empty (default: under renders/)")
+    study.add_argument("--threads", type=_threads, metavar="N", help="CPU threads (default: all)")
+    study.set_defaults(do=_study)
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= 10000:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of eyes from 1 to 10000")
+    return int(text)
+
+
+def _study(given) -> int:
+    from taichi_eye.proof import estimates
+    from taichi_eye.scene import load_scene
+
+    unknown = [name for name in given.only if name not in estimates.PARTS]
+    if unknown:
+        raise SceneError(f"--only {unknown[0]}: estimates has {', '.join(estimates.PARTS)}")
+    scene = load_scene(given.scene, given.overrides)
+    _refuse_unwritable(given.json)
+    backend.init("cpu", "f64", given.threads)
+    return 0 if estimates.report(scene, given.only, given.eyes, given.seed, given.out, given.json) else 1
 
 
 def _add_model(command) -> None:
