@@ -33,6 +33,7 @@ from taichi_eye.bench import bench
 from taichi_eye.bench.rows import Row, at_least, at_most, figure
 from taichi_eye.errors import FilmError, SceneError
 from taichi_eye.estimation import model_error
+from taichi_eye.estimation.bounds import FRAMES, INTERVAL_MS, at_truth
 from taichi_eye.estimation.estimate import Estimate, estimate, estimate_many, problem_of
 from taichi_eye.estimation.fit import Problem
 from taichi_eye.estimation.motion import Motion, fine_apices
@@ -53,7 +54,7 @@ from taichi_eye.estimation.unknowns import (
 from taichi_eye.scene import Scene
 
 EYES, SEED = 40, 14
-NOISE_MM, FRAMES, INTERVAL_MS = 0.010, 139, 0.2315
+NOISE_MM = 0.010
 PUFF_SD, THICKNESS_SD_UM = 0.015, 5.0
 EVENLY = {IOP: (8.0, 35.0), RADIUS: (7.2, 8.4), THICKNESS: (480.0, 620.0)}
 FACTORS = {IN_PLANE: (0.6, 1.6), OUT_OF_PLANE: (0.6, 1.6), GLOBE: (0.7, 1.4)}
@@ -118,15 +119,6 @@ def _population(scene: Scene, count: int, seed: int) -> list[Made]:
     return made(scene, count, seed)
 
 
-def bound(problem: Problem, truth: dict[str, float]) -> float:
-    """The least standard deviation [mmHg] of the IOP that an unbiased estimate can have at the truth."""
-    names = problem.before.names
-    place = np.log([truth[name] for name in names])
-    covariance = np.linalg.inv(problem.information(place) + problem.before.precision)
-    k = names.index(IOP)
-    return truth[IOP] * float(np.sqrt(covariance[k, k]))
-
-
 @dataclass(frozen=True)
 class Outcome:
     """A part's estimates beside the truth: arrays [eyes], NaN where refused; covered: by the 95 % interval; bounds: or
@@ -184,7 +176,7 @@ def _known(truth: dict[str, float], *free: str) -> dict[str, float]:
 def _solved(eyes: Sequence[Made], problems: Sequence[Problem], stage) -> Outcome:
     stage("the search")
     found = estimate_many(problems, lambda done: stage(f"{done} of {len(problems)} profiles"))
-    bounds = [bound(problem, eye.truth) for problem, eye in zip(problems, eyes)]
+    bounds = [at_truth(problem, eye.truth) for problem, eye in zip(problems, eyes)]
     return outcome([eye.truth[IOP] for eye in eyes], found, bounds)
 
 
