@@ -15,9 +15,11 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.signal import savgol_filter
 
-from taichi_eye.analysis.curves import Curves, curves_from_wall
-from taichi_eye.analysis.response import Histories, histories
+from taichi_eye.analysis.curves import REST_MS, SMOOTH_MM, X_STEP_MM, Curves, curves_from_wall, grid
+from taichi_eye.analysis.response import SIDE_MM, Histories, histories
 from taichi_eye.cloud.packing import Cloud, pack
 from taichi_eye.eye.eye import REFERENCE_IOP, Eye, eye_of
 from taichi_eye.eye.section import Section
@@ -32,6 +34,7 @@ ELEMENTS = {"membrane": 32, "cavity": 32, "added_mass": 24}
 RUNS = {"membrane": Membrane, "cavity": Cavity, "added_mass": AddedMass}
 TRAVEL = 1.5  # of the wall in spacings between two flow maps: 0.5 um of the apex, and half the time
 FRIEDENWALD_MMHG = REFERENCE_IOP / MMHG  # at which such a globe is named
+BETWEEN = 12  # places between two nodes of a wall that its curve is taken at
 FRAMES_LEAST = 30  # fewer show no response
 
 
@@ -69,6 +72,29 @@ class Motion:
     def histories(self) -> Histories | None:
         """The histories of these curves."""
         return None if self.curves is None else histories(self.curves)
+
+    @cached_property
+    def deflection_mm(self) -> np.ndarray | None:
+        """The deflection over `grid()` at every frame, [frames, points], as `taichi_eye.analysis` defines it; None
+        where there are too few frames.
+
+        What a film's reading takes a tenth of a second for, in a hundredth: a wall has no gaps, so all frames go at
+        once. The retreat of the whole eye, being in no deflection, is left out.
+        """
+        if len(self.frame_ms) < FRAMES_LEAST:
+            return None
+        nodes = np.arange(self.walls_mm.shape[1])
+        between = np.linspace(0.0, nodes[-1], BETWEEN * nodes[-1] + 1)
+        r, z = np.moveaxis(CubicSpline(nodes, self.walls_mm, axis=1)(between), 2, 0)
+        x = grid()
+        half = x[x >= 0.0]
+        right = np.stack([np.interp(half, *one) for one in zip(r, z)])
+        height = np.hstack([right[:, :0:-1], right])
+        length = 2 * round(0.5 * SMOOTH_MM / X_STEP_MM) + 1
+        height = savgol_filter(height, length, 3, axis=1, mode="interp")
+        deformation = height[self.frame_ms <= self.frame_ms[0] + REST_MS].mean(axis=0) - height
+        flanks = (np.abs(x) >= SIDE_MM[0] - 1e-9) & (np.abs(x) <= SIDE_MM[1] + 1e-9)
+        return deformation - deformation[:, flanks].mean(axis=1)[:, None]
 
 
 def cheap(scene: Scene, rung: str = "cavity") -> Motion:

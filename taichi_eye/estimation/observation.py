@@ -21,7 +21,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from taichi_eye.analysis.response import Histories, respond
+from taichi_eye.analysis.curves import grid
+from taichi_eye.analysis.response import APEX_MM, Histories, respond
 from taichi_eye.estimation import model_error as errors
 from taichi_eye.estimation.model_error import ModelError
 from taichi_eye.estimation.motion import Motion
@@ -94,10 +95,10 @@ class ReadDeflection(ApexHistory):
     kind = "deflection history"
 
     def predict(self, motion: Motion) -> np.ndarray:
-        if motion.histories is None:
+        if motion.deflection_mm is None:
             return np.full(len(self.values), np.nan)
-        seen = motion.histories
-        return _at(seen.time_ms, seen.apex_mm - seen.whole_eye_mm, self.time_ms)
+        apex = np.abs(grid()) <= APEX_MM + 1e-9
+        return _at(motion.frame_ms, motion.deflection_mm[:, apex].mean(axis=1), self.time_ms)
 
     def noise(self) -> np.ndarray:
         return super().noise() + _reading(self.values, self.time_ms[:, None] - self.time_ms)
@@ -113,13 +114,12 @@ class FilmSurface(Observation):
     kind = "film"
 
     def predict(self, motion: Motion) -> np.ndarray:
-        if motion.histories is None:
+        if motion.deflection_mm is None:
             return np.full(len(self.values), np.nan)
-        seen, found = motion.histories, np.empty(len(self.values))
-        map_mm = stations(seen)
+        found, map_mm = np.empty(len(self.values)), stations(grid(), motion.deflection_mm)
         for k, x in enumerate(STATIONS_MM):
             here = self.x_mm == x
-            found[here] = _at(seen.time_ms, map_mm[:, k], self.time_ms[here])
+            found[here] = _at(motion.frame_ms, map_mm[:, k], self.time_ms[here])
         return found
 
     def noise(self) -> np.ndarray:
@@ -180,7 +180,7 @@ def of_history(
 
 def of_film(name: str, seen: Histories, shown: dict[str, Known], notes=()) -> FilmSurface:
     """The deflection that a film shows."""
-    map_mm = stations(seen)
+    map_mm = stations(seen.x_mm, seen.deflection_mm)
     time = np.repeat(seen.time_ms, len(STATIONS_MM))
     x = np.tile(np.array(STATIONS_MM), len(seen.time_ms))
     values = map_mm.ravel()
@@ -210,12 +210,12 @@ def of_row(row: Row, interval_ms: float, air_mmhg, age_years: float, shown: dict
     )
 
 
-def stations(seen: Histories) -> np.ndarray:
-    """The deflection at STATIONS_MM, the mean of both sides, [frames, stations]; NaN where neither is seen."""
+def stations(x_mm: np.ndarray, deflection_mm: np.ndarray) -> np.ndarray:
+    """A deflection at STATIONS_MM, the mean of both sides, [frames, stations]; NaN where neither is seen."""
     columns = []
     for x in STATIONS_MM:
-        near = np.abs(np.abs(seen.x_mm) - x) <= STATION_HALF_MM + 1e-9
-        part = seen.deflection_mm[:, near]
+        near = np.abs(np.abs(x_mm) - x) <= STATION_HALF_MM + 1e-9
+        part = deflection_mm[:, near]
         good = np.isfinite(part)
         total = np.where(good, part, 0.0).sum(axis=1)
         columns.append(np.where(good.sum(axis=1) > 0, total / np.maximum(good.sum(axis=1), 1), np.nan))

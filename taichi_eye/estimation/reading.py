@@ -96,7 +96,8 @@ def _film(path: Path, instrument: dict) -> Found:
     shown = {}
     if response.central_thickness_um is not None:
         shown[THICKNESS] = Known(response.central_thickness_um, THICKNESS_SD_UM)
-    rest = np.nanmean(history.height_mm[history.time_ms <= history.time_ms[0] + REST_MS], axis=0)
+    # a place that a frame at rest does not show stays blank
+    rest = history.height_mm[history.time_ms <= history.time_ms[0] + REST_MS].mean(axis=0)
     bend = circle(history.x_mm, rest, CAP_REACH_MM)[0]
     if np.isfinite(bend) and bend > 0.0:
         shown[RADIUS] = Known(1.0 / bend, RADIUS_SD_MM)

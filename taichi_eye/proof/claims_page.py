@@ -212,9 +212,10 @@ def _whole_history() -> str:
     nothing, wrong = of_own_eye(scene, {}), of_own_eye(scene, {}, model_error_um=HISTORY_ERROR_UM)
     return (
         "Fitted as a whole, a history of 139 values with 10 um of noise under the measured puff can tell the IOP of "
-        f"this eye to {alone:.2f} mmHg where all else is known, {soft:.2f} with its stiffness unknown, {blown:.2f} with "
-        f"the puff known to {100 * clinic.PUFF_SPREAD:.1f} % as well, {nothing:.2f} with a population for the rest, and "
-        f"{wrong:.2f} where the model is wrong by {HISTORY_ERROR_UM:g} um: not the camera is the limit (standard "
+        f"this eye to {alone:.2f} mmHg where all else is known, {soft:.2f} with its stiffness unknown, {blown:.2f} "
+        f"with the puff known to {100 * clinic.PUFF_SPREAD:.1f} % as well, {nothing:.2f} with a population for the "
+        f"rest, and {wrong:.2f} where the model is wrong by {HISTORY_ERROR_UM:g} um: not the camera is the limit "
+        "(standard "
         "deviations, bound of Cramer and Rao; what estimates come to: `taichi-eye estimates`)."
     )
 
