@@ -6,7 +6,8 @@
     result.traces["apex_displacement_mm"].max()
 
 `resume` goes on with a run that was cut off. `Simulation` is the coupled solver without film and files, `run_batch` the
-same for many scenes at once, `simulation_of` the rung of the ladder that a scene's fidelity asks for.
+same for many scenes at once, `simulation_of` the rung of the ladder that a scene's fidelity asks for. `estimate` goes
+the other way: from a film or a trace to the pressure and the tissue of the eye in it.
 """
 
 from taichi_eye.errors import RunStopped, SceneError  # noqa: E402

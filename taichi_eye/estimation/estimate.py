@@ -25,7 +25,7 @@ from taichi_eye.estimation import model_error as errors
 from taichi_eye.estimation.calibration import Calibration
 from taichi_eye.estimation.fit import SD_68, SD_95, Problem, Solution, interval, on_bound, profiled, solve, solve_many
 from taichi_eye.estimation.observation import Observation
-from taichi_eye.estimation.reading import read
+from taichi_eye.estimation.reading import read, run_scene_of
 from taichi_eye.estimation.unknowns import IOP, UNKNOWNS, Known, beforehand
 from taichi_eye.scene import Scene
 
@@ -105,7 +105,7 @@ class Estimate:
     film: Analysis | None = None
 
     def __getitem__(self, name: str) -> Quantity:
-        return next(quantity for quantity in self.quantities if quantity.name == name)
+        return {quantity.name: quantity for quantity in self.quantities}[name]
 
     @property
     def laplace_mmhg(self) -> float:
@@ -121,7 +121,7 @@ class Estimate:
 
 def estimate(
     data: str | Path | Observation,
-    scene: Scene,
+    scene: Scene | None = None,
     known: Mapping[str, Known | tuple[float, float] | float] | None = None,
     free: Sequence[str] = FREE,
     age_years: float | None = None,
@@ -134,14 +134,18 @@ def estimate(
 ) -> Estimate:
     """Estimate an eye from a trace, a film, a run, or a table's only row.
 
-    scene: the model, about whose eye the population is. known: values by the names of `UNKNOWNS`, a number where it is
-    exact, else (value, standard deviation). free: which of the pressure and the tissue to estimate; the others are the
-    scene's. noise_um: of a value of a trace; from the trace itself where it is not given. model_error_um: of a history;
-    from the scene's own misfit where it is not given, 0 for data of the model itself. calibration: of the instrument.
-    finely: end on the scene's own rung; instrument: settings of the camera. Raises SceneError (NoEstimate where no eye
-    moves like that) or FilmError.
+    scene: the model, about whose eye the population is; of a run its own, else it has to be given. known: values by the
+    names of `UNKNOWNS`, a number where it is exact, else (value, standard deviation). free: which of the pressure and
+    the tissue to estimate; the others are the scene's. noise_um: of a value of a trace; from the trace itself where it
+    is not given. model_error_um: of a history; from the scene's own misfit where it is not given, 0 for data of the
+    model itself. calibration: of the instrument. finely: end on the scene's own rung; instrument: settings of the
+    camera. Raises SceneError (NoEstimate where no eye moves like that) or FilmError.
     """
     film, notes = None, ()
+    if scene is None:
+        scene = None if isinstance(data, Observation) else run_scene_of(Path(data))
+        if scene is None:
+            raise SceneError(f"{data}: says nothing of the model that it is fitted with; give a scene")
     if not isinstance(data, Observation):
         found = read(data, scene, noise_um, age_years, **instrument)
         if len(found.seen) > 1:

@@ -105,7 +105,7 @@ class Problem:
 
     def widen(self, factor: float, cavity: float = 0.0) -> None:
         """Take the model error so many times as large, and that of the cheap model besides."""
-        self.factor = factor
+        self.factor, self.left_out = factor, cavity
         self.covariance = self._noise + self.seen.model_error(self.model.times(factor))
         if cavity:
             smooth = self.seen.model_error(CAVITY.times(cavity))
@@ -191,9 +191,9 @@ class Problem:
     def sums(self, place: np.ndarray, factor: float) -> float:
         """The sum of squares at a place with a model error so many times as large."""
         was = self.factor
-        self.widen(factor)
+        self.widen(factor, self.left_out)
         cost = self.cost(place)
-        self.widen(was)
+        self.widen(was, self.left_out)
         return cost
 
 
@@ -461,7 +461,7 @@ def _widened(problem: Problem, place: np.ndarray, degrees: int) -> np.ndarray:
             break
         excess = lambda factor: problem.sums(place, factor) - degrees
         factor = WIDEST if excess(WIDEST) > 0.0 else float(brentq(excess, problem.factor, WIDEST, xtol=1e-2))
-        problem.widen(factor)
+        problem.widen(factor, problem.left_out)
         place = _best(problem, [place])
     cost = problem.cost(place)
     if chi2.sf(cost, degrees) < REFUSED_P:

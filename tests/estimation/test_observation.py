@@ -79,7 +79,7 @@ def test_a_run_s_own_traces_hold_no_retreat_and_are_thinned_to_a_camera_s_pace(t
     expected = np.interp(read_as_films.time_ms, shown.time_ms, shown.apex_mm - shown.whole_eye_mm)
     assert read_as_films.predict(motion)[inside] == pytest.approx(expected[inside], abs=0.003)
     surface = of_film("film", shown, {})
-    assert surface.predict(motion) == pytest.approx(surface.values) and set(surface.x_mm) == set(STATIONS_MM)
+    assert surface.predict(motion) == pytest.approx(surface.values, abs=5e-4) and set(surface.x_mm) == set(STATIONS_MM)
     # a motion that was stopped shows nothing beyond
     short = cheap(eye.but({"numerics.fidelity": "cavity", "numerics.duration_ms": 20.0, "camera.frame_count": "auto"}))
     assert np.isnan(seen.predict(short)[seen.time_ms > 20.1]).all()
