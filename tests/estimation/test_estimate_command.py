@@ -8,10 +8,11 @@ import pytest
 from closed_form import TIMES_MS
 
 from taichi_eye.cli import main
-from taichi_eye.estimation import fit
 from taichi_eye.estimation.bounds import of_own_eye
 from taichi_eye.estimation.estimate import Estimate, estimate
 from taichi_eye.estimation.motion import cheap
+from taichi_eye.estimation.observation import ParameterRow
+from taichi_eye.estimation.parameters import REPEATABILITY
 from taichi_eye.estimation.unknowns import own_values, scene_with
 from taichi_eye.proof import estimates
 from taichi_eye.scene import load_scene
@@ -95,33 +96,34 @@ def test_bad_input_is_refused_and_nothing_is_written(scene_file, tmp_path, monke
 
 
 def test_rows_are_estimated_beside_their_own_pressures(scene_file, tmp_path, monkeypatch, capsys):
-    from taichi_eye.analysis.response import respond
-
-    # reading a motion as a clinic does takes most of the time: fewer starts, a coarser profile
-    monkeypatch.setattr(fit, "STARTS_MMHG", (17.5,))
-    monkeypatch.setattr(fit, "PROFILE_SD", (1.0, 2.0))
-    monkeypatch.setattr(fit, "LEFT_OUT", ())
-
-    scene = load_scene(scene_file)
-    names = "a1_time_ms", "a1_velocity_m_s", "a2_time_ms", "deformation_amplitude_mm", "hc_time_ms"
-    text = ",".join((*names, "CCT", "bIOP")) + "\n"
+    # in closed form: reading a motion as a clinic does takes most of the time
+    slopes = {"a1_time_ms": (7.4, 2.0), "deformation_amplitude_mm": (1.05, -0.4), "a2_time_ms": (21.8, -1.5)}
+    shown = lambda name, iop: slopes[name][0] + slopes[name][1] * np.log(iop / 15.0)
+    monkeypatch.setattr(
+        ParameterRow, "predict", lambda row, motion: np.array([shown(n, motion.scene.eye.iop_mmhg) for n in row.names])
+    )
+    text = ",".join((*slopes, "CCT", "bIOP")) + "\n"
     for iop in (13.0, 17.0, 22.0):
-        found = respond(cheap(scene_with(scene, {**own_values(scene), "iop_mmhg": iop})).curves)
-        text += ",".join(f"{getattr(found, name):.6g}" for name in names) + f",550,{iop}\n"
+        text += ",".join(f"{shown(name, iop):.6g}" for name in slopes) + f",550,{iop}\n"
+    text += "7.4,1.05,nan,9000,15\n"
     (tmp_path / "rows.csv").write_text(text)
     arguments = ["estimate", str(tmp_path / "rows.csv"), "--scene", str(scene_file), "--model-error-um", "0"]
-    held = [
-        part
-        for name in ("puff", "puff_width", "radius_mm=7.8")
-        for part in ("--known", name if "=" in name else f"{name}=1")
-    ]
-    assert main([*arguments, *held, "--free", "iop_mmhg", "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    held = [part for name in ("puff", "puff_width") for part in ("--known", f"{name}=1")]
+    out = tmp_path / "out"
+    assert (
+        main([*arguments, *held, "--known", "radius_mm=7.8", "--free", "iop_mmhg", "--out", str(out), "--quiet"]) == 0
+    )
     said = capsys.readouterr().out
     assert "IOP less biop_mmhg over 3 eyes" in said and "clinics live with" in said
-    report = json.loads((tmp_path / "out" / "estimate.json").read_text())
+    assert "left out" in said and "central_thickness_um = 9000" in said
+    report = json.loads((out / "estimate.json").read_text())
     for row, iop in zip(report["rows"], (13.0, 17.0, 22.0)):
-        assert abs(row["quantities"]["iop_mmhg"]["value"] - iop) < 0.5
-    assert abs(report["agreement"]["bias"]) < 0.4 and report["agreement"]["slope"] == pytest.approx(1.0, abs=0.1)
+        assert row["quantities"]["iop_mmhg"]["value"] == pytest.approx(iop, rel=1e-3)
+        # by hand: two or three parameters, each with its slope over its repeatability
+        told = sum((slopes[name][1] / REPEATABILITY[name][0]) ** 2 for name in slopes)
+        assert row["quantities"]["iop_mmhg"]["standard_deviation"] == pytest.approx(iop / np.sqrt(told), rel=0.05)
+    assert abs(report["agreement"]["bias"]) < 0.05 and report["agreement"]["slope"] == pytest.approx(1.0, abs=0.01)
+    assert (out / "estimates.csv").read_text().startswith("row,iop_mmhg,iop_mmhg_low95,iop_mmhg_high95")
 
 
 def test_the_study_in_a_short_form(scene_file, tmp_path, capsys):
