@@ -7,7 +7,8 @@
 
 `resume` goes on with a run that was cut off. `Simulation` is the coupled solver without film and files, `run_batch` the
 same for many scenes at once, `simulation_of` the rung of the ladder that a scene's fidelity asks for. `sweep` runs a
-study: a scene as many eyes, into one table. `PointCloud` is the mesh-free operators on points of your own.
+study: a scene as many eyes, into one table. `estimate` goes the other way: from a film or a trace to the pressure and
+the tissue of the eye in it. `PointCloud` is the mesh-free operators on points of your own.
 """
 
 from taichi_eye.errors import RunStopped, SceneError  # noqa: E402
@@ -21,6 +22,7 @@ __all__ = [
     "SceneError",
     "Simulation",
     "dump_scene",
+    "estimate",
     "init",
     "load_scene",
     "resume",
@@ -58,6 +60,10 @@ def __getattr__(name):
         from taichi_eye.studies.sweep import sweep
 
         return sweep
+    if name == "estimate":
+        from taichi_eye.estimation.estimate import estimate
+
+        return estimate
     if name in ("run", "resume", "RunResult"):
         from taichi_eye import pipeline
 

@@ -1,14 +1,14 @@
-"""The command line: `taichi-eye run SCENE`, `scene`, `analyze FILM`, `sweep STUDY`, `docs PAGE`, and the proofs, `check
-NAME`: `verify`, `stability`, `chart`, `choices`, `claims`, `films`, `clinic`, `fit-clinic`, `bench`, each a command by
-itself as well. Every command is a thin call of a public function; arguments that several share are in `options`.
+"""The command line: `taichi-eye run SCENE`, `scene`, `analyze FILM`, `estimate DATA`, `sweep STUDY`, `docs PAGE`, and
+the proofs, `check NAME`: `verify`, `stability`, `chart`, `choices`, `claims`, `films`, `clinic`, `fit-clinic`,
+`estimates`, `bench`, each a command by itself as well. Every command is a thin call of a public function; arguments
+that several share are in `options`.
 
 Exit status: 0 done; 1 the run left its validity and was stopped (what was computed so far is in the run folder), or a
-row of `verify`, `films`, `choices` or `bench` does not hold, or a file or standard output could not be written; 2 bad
-input, nothing written; 130 interrupted, 143 ended by SIGTERM, 129 by SIGHUP.
+row of `verify`, `films`, `estimates`, `choices` or `bench` does not hold, or a file or standard output could not be
+written; 2 bad input, nothing written; 130 interrupted, 143 ended by SIGTERM, 129 by SIGHUP.
 """
 
 import argparse
-import os
 import signal
 import sys
 from importlib import import_module
@@ -16,6 +16,7 @@ from pathlib import Path
 
 from taichi_eye import backend, console, docs, options, provenance, shipped
 from taichi_eye.errors import FilmError, OutputError, RunStopped, SceneError
+from taichi_eye.estimation import command as estimates
 from taichi_eye.studies import command as sweeps
 
 
@@ -33,11 +34,13 @@ def parser() -> argparse.ArgumentParser:
     _add_run(commands)
     _add_scene(commands)
     _add_analyze(commands)
+    estimates.add(commands)
     sweeps.add(commands)
     _add_docs(commands)
     check = commands.add_parser(
         "check",
-        help="prove and measure: verify, stability, chart, choices, claims, films, clinic, fit-clinic, bench",
+        help="prove and measure: verify, stability, chart, choices, claims, films, clinic, fit-clinic, estimates and "
+        "bench",
         description="The proofs: each runs the program against what is known and writes a table and a page.",
         examples=("taichi-eye check verify --only squeeze", "taichi-eye check films --json films.json"),
     )
@@ -187,6 +190,7 @@ def _add_checks(commands, listed: bool) -> None:
     )
     options.take(refit, "json", "threads", "quiet")
     refit.set_defaults(do=_refit)
+    estimates.add_study(add)
     claims = add(
         "claims",
         "put the paper's claims on delay, asymmetry and IOP to the model",
@@ -348,17 +352,6 @@ def _docs(given) -> int:
     return 0
 
 
-def _refuse_unwritable(json_file: str | None) -> None:
-    """SceneError where `--json` cannot be written, said before the minutes of work it would hold."""
-    if json_file is None:
-        return
-    path = Path(json_file)
-    if path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
-        raise SceneError(
-            f"--json {json_file}: cannot be written; name a file in an existing folder that may be written"
-        )
-
-
 def _proof(name: str):
     """The module of a proof that consists of parts."""
     return import_module(f"taichi_eye.{'bench' if name == 'bench' else 'proof'}.{name}")
@@ -369,7 +362,7 @@ def _prove(given) -> int:
     unknown = [name for name in given.only if name not in proof.PARTS]
     if unknown:
         raise SceneError(f"--only {unknown[0]}: {given.command} has {', '.join(proof.PARTS)}")
-    _refuse_unwritable(given.json)
+    options.refuse_unwritable(given.json)
     backend.init("cpu", "f64", given.threads)
     bar = {"progress": not given.quiet} if hasattr(given, "quiet") else {}
     return 0 if proof.report(given.only, given.out, given.json, **bar) else 1
@@ -399,7 +392,7 @@ def _clinic(given) -> int:
     load_scene(given.scene, given.overrides)
     if given.healthy:
         load_scene(given.healthy)
-    _refuse_unwritable(given.json)
+    options.refuse_unwritable(given.json)
     backend.init("cpu", "f64", given.threads)
     dcr.report(given.scene, given.overrides, given.out, given.json, not given.quiet, healthy=given.healthy)
     return 0
@@ -411,7 +404,7 @@ def _refit(given) -> int:
 
     names = [name.strip() for name in given.free.split(",")]
     refit.free_keys(load_scene(given.scene, given.overrides), names)
-    _refuse_unwritable(given.json)
+    options.refuse_unwritable(given.json)
     backend.init("cpu", "f64", given.threads)
     refit.report(given.scene, names, given.overrides, given.rounds, given.json, not given.quiet)
     return 0
@@ -426,7 +419,7 @@ def _claims(given) -> int:
     from taichi_eye.scene import load_scene
 
     load_scene(None, (f"numerics.spacing_mm={given.spacing_mm}",))
-    _refuse_unwritable(given.json)
+    options.refuse_unwritable(given.json)
     backend.init("cpu", "f64", given.threads)
     folder = create_run_folder(given.out, "claims")
     listed = claims.cases()
@@ -456,7 +449,7 @@ def _chart(given) -> int:
     scene = load_scene(given.scene, given.overrides)
     if given.resume and given.out:
         raise SceneError("--resume goes on in the chart's own folder: leave --out out")
-    _refuse_unwritable(given.json)
+    options.refuse_unwritable(given.json)
     backend.init("cpu", "f64", given.threads)
     points = chart.read(Path(given.resume), scene) if given.resume else {}
     folder = Path(given.resume) if given.resume else create_run_folder(given.out, "chart")

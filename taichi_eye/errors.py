@@ -14,6 +14,10 @@ class SceneError(Exception):
     """
 
 
+class NoEstimate(SceneError):
+    """Data that no eye of a scene's model can have made, so that an estimate from them would be none."""
+
+
 class RunStopped(Exception):
     """A run that left its validity and was stopped.
 

@@ -8,10 +8,13 @@ it means something of its own there. `Command` is a parser whose help ends with 
 from __future__ import annotations
 
 import argparse
+import os
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 
 from taichi_eye import backend
+from taichi_eye.errors import SceneError
 
 
 def positive(text: str) -> float:
@@ -103,3 +106,14 @@ class Command(argparse.ArgumentParser):
         if self.examples:
             said += "\nexamples:\n" + "".join(f"  {line}\n" for line in self.examples)
         return said
+
+
+def refuse_unwritable(json_file: str | None) -> None:
+    """SceneError where `--json` cannot be written, said before the minutes of work it would hold."""
+    if json_file is None:
+        return
+    path = Path(json_file)
+    if path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+        raise SceneError(
+            f"--json {json_file}: cannot be written; name a file in an existing folder that may be written"
+        )

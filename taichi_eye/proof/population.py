@@ -18,6 +18,7 @@ import numpy as np
 from taichi_eye.analysis.response import Response
 from taichi_eye.analysis.simulated import Observed, observe
 from taichi_eye.scene import Scene
+from taichi_eye.scene.variant import eye_at
 
 IOP_STEPS_MMHG = -4.0, -2.0, 0.0, 2.0, 4.0
 THICKNESS_STEPS_UM = -38.0, 0.0, 38.0
@@ -32,21 +33,6 @@ class SimulatedEye:
     observed: Observed
     response: Response
     stopped: str = ""
-
-
-def eye_at(scene: Scene, iop_mmhg: float, thickness_um: float) -> Scene:
-    """The scene's eye at another pressure and central thickness."""
-    cornea, was, own = scene.cornea, scene.eye.iop_mmhg, scene.values()
-    thicker = 1e-3 * thickness_um - cornea.thickness_mm
-    changes = {
-        "eye.iop_mmhg": iop_mmhg,
-        "cornea.thickness_mm": cornea.thickness_mm + thicker,
-        "cornea.limbus_thickness_mm": cornea.limbus_thickness_mm + thicker,
-    }
-    # a linear globe is taken at each pressure anew; one after Friedenwald follows the pressure itself
-    if own["chamber.globe_law"] == "linear":
-        changes["chamber.compliance_mm3_mmhg"] = scene.chamber.compliance_mm3_mmhg * was / iop_mmhg
-    return scene.but({name: value for name, value in changes.items() if value != own[name]})
 
 
 def simulate(scene: Scene, iop_mmhg: float, thickness_um: float) -> SimulatedEye:

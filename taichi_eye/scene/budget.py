@@ -2,10 +2,10 @@
 
 Memory in bytes, each term measured on runs that are large in it alone:
 
-    a process with its kernels                                  250 MB
+    a process with its kernels, of earlier runs, too            600 MB
     nodes of the liquid            8 kB each, and 40 B for each node and wall node where a flow map is kept
-    slit image                     20 B a pixel, the images on their way to the encoder among them
-    particle view, or both         18 B a pixel of the frame
+    slit image                     30 B a pixel, the images on their way to the encoder among them
+    particle view, or both         75 B a pixel of the frame, six of the sheet among them
     samples                        1 kB each
     the wall at every film frame   100 B for each frame and wall node
 
@@ -42,10 +42,10 @@ def memory(draft: Draft) -> dict[tuple[str, ...], float]:
     mapped = draft["numerics.fidelity"] == "added_mass"
     image = ("camera.width_px", "camera.height_px", "camera.view")
     return {
-        (): 250e6,
+        (): 600e6,
         ("numerics.spacing_mm", "numerics.fidelity"): nodes * (8e3 + 40 * walls * mapped),
-        image: 20 * draft["camera.width_px"] * draft["camera.height_px"]
-        + 18 * frame_pixels(draft) * (draft["camera.view"] != "scheimpflug"),
+        image: 30 * draft["camera.width_px"] * draft["camera.height_px"]
+        + 75 * frame_pixels(draft) * (draft["camera.view"] != "scheimpflug"),
         ("numerics.duration_ms", "camera.frame_interval_ms"): 1e3 * duration * (1 / SAMPLE_MS + 1 / interval),
         ("camera.frame_count", "numerics.spacing_mm"): 100 * frames * walls,
     }

@@ -29,7 +29,7 @@ from taichi_eye.solver.figures import at, at_rest, traces_of
 from taichi_eye.solver.folding import Folding
 from taichi_eye.solver.guards import Guard, liquid_advice
 from taichi_eye.solver.state import State
-from taichi_eye.solver.timestep import NAMES, StepLimits
+from taichi_eye.solver.timestep import NAMES, StepLimits, refuse_endless
 from taichi_eye.solver.workspace import borrow
 from taichi_eye.units import MM
 
@@ -65,6 +65,8 @@ class Batch:
         self.cases = [case_of(scene) for scene in self.scenes]
         self.clocks = [case.clock for case in self.cases]
         counts = [cloud.count for cloud in self.clouds]
+        for case, count in zip(self.cases, counts):
+            refuse_endless(case, count, nodes_flow=True)
         self.first = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(int)
         eyes = len(self.scenes)
         self.generation = backend.generation()

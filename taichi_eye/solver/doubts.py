@@ -81,15 +81,14 @@ def _spot(case, traces) -> str:
 def _ring(case, traces) -> str:
     apex, time = traces["apex_displacement_mm"], traces["time_ms"]
     turns = turning_points(apex, SWING * _peak_mm(traces))
-    # the rise to the peak and the way back are the puff's own
-    swings = len(turns) - 2
-    if swings < SWINGS:
+    # the rise is the puff's own, and so is the way back, the largest of the swings
+    swings = np.sort(np.abs(np.diff(apex[turns[1:]])))[:-1]
+    if len(swings) < SWINGS:
         return ""
-    largest = float(np.abs(np.diff(apex[turns[1:]])).max(initial=0.0))
     return (
-        f"the apex rings, {swings} swings of up to {largest:.2g} mm from {time[turns[1]]:.3g} ms on: two settings of "
-        "numerics.spacing_mm or numerics.sound_speed_m_s fall out of step there, so take no times or velocities from "
-        "it; damp it (cornea.viscoelastic_share, chamber.globe_delay_ms) or compare two settings"
+        f"the apex rings, {len(swings)} swings of up to {swings[-1]:.2g} mm from {time[turns[1]]:.3g} ms on: two "
+        "settings of numerics.spacing_mm or numerics.sound_speed_m_s fall out of step there, so take no times or "
+        "velocities from it; damp it (cornea.viscoelastic_share, chamber.globe_delay_ms) or compare two settings"
     )
 
 

@@ -30,7 +30,7 @@ from taichi_eye.solver.potential import LayerFlow, PotentialFlow
 from taichi_eye.solver.rings import ring_areas
 from taichi_eye.solver.scheme import Clock
 from taichi_eye.solver.state import State
-from taichi_eye.solver.timestep import bending_limit, shear_damping
+from taichi_eye.solver.timestep import bending_limit, refuse_endless, shear_damping
 from taichi_eye.solver.wall_stepper import PUFF_ROWS, RUNNING, WallStepper
 from taichi_eye.solver.workspace import capacity, reuse
 from taichi_eye.units import MM, MS
@@ -95,6 +95,7 @@ class Reduced:
         self.section, self.puff, self.spacing = self.eye.section, self.eye.puff, self.scheme.spacing
         self.cloud = cloud
         self.wall_count = cornea_elements(self.section, self.spacing) + 1
+        refuse_endless(self.case, self.wall_count, nodes_flow=False)
         size = capacity(self.wall_count, 16)
         self.generation = backend.generation()
         kind = (self.generation, "wall", size, self.flowing)

@@ -32,6 +32,8 @@ import math
 
 import numpy as np
 
+from taichi_eye.errors import SceneError
+
 NAMES = (
     "acoustic",
     "dissipation",
@@ -46,6 +48,7 @@ NAMES = (
 # squared frequency of the stiffest discrete wave, which sits at the apex: of tension or shear, over speed^2 / L^2, and
 # of bending, over D / (rho_s h_wall L^4)
 STIFFEST_SHEAR, STIFFEST_BENDING = 4.842, 35.008
+NODE_STEPS_MAX = 2e11  # of a run: some five hours on one core
 
 
 class StepLimits:
@@ -113,6 +116,45 @@ def bending_limit(eye) -> float:
 def shear_damping(eye) -> float:
     """Rate b of the shear's viscosity times the square of the element's length [m^2/s]; 0 where there is none."""
     return 0.5 * STIFFEST_SHEAR * eye.shear_stiffness / eye.cornea.density * eye.cornea.shear_delay
+
+
+def rest_limits(case, nodes_flow: bool) -> dict[str, float]:
+    """About what the limits [s] of a case are at rest, by the keys that set them; nodes_flow: whether its liquid is
+    resolved."""
+    eye, scheme = case.eye, case.scheme
+    tissue, length = eye.cornea, scheme.spacing
+    strain = eye.apex_prestrain
+    along = float(tissue.law.of_arrays.tangent(strain, strain, strain, tissue.coefficients)[0])
+    shear, density = eye.shear_stiffness, tissue.density
+    stiff = (1.0 + tissue.overstress_share) * along + eye.rest_stress + 0.5 * shear
+    transverse = length / math.sqrt((eye.rest_stress + 1.22 * shear) / density)
+    damping = shear_damping(eye) / length**2
+    found = {
+        "cornea.stiffness_a_pa": length / math.sqrt(stiff / density),
+        "cornea.flexural_modulus_mpa": bending_limit(eye) * length**2,
+        "cornea.shear_modulus_kpa": transverse,
+        "cornea.shear_viscosity_ms": 2.0 / (damping + math.sqrt(damping**2 + 4.0 / transverse**2)),
+    }
+    if nodes_flow:
+        found["numerics.sound_speed_m_s"] = 0.8 * length / (scheme.sound_speed * (0.6 + 0.9 * scheme.dissipation))
+        if eye.liquid.viscosity > 0.0:
+            found["aqueous.viscosity_mpa_s"] = (0.8 * length) ** 2 * eye.liquid.density / (4.0 * eye.liquid.viscosity)
+    return found
+
+
+def refuse_endless(case, nodes: int, nodes_flow: bool) -> None:
+    """SceneError where a run of so many nodes would take more node-steps than anybody waits for."""
+    limits = rest_limits(case, nodes_flow)
+    key = min(limits, key=limits.get)
+    steps = case.clock.samples * case.clock.sample_s / (case.scheme.cfl * limits[key])
+    if steps * nodes > NODE_STEPS_MAX:
+        value = case.scene.values()[key]
+        raise SceneError(
+            f"{key} = {value:g}: allows time steps of {case.scheme.cfl * limits[key]:.2g} s, so that the run would "
+            f"take {steps:.2g} of them on {nodes} nodes; at most {NODE_STEPS_MAX / nodes:.2g} are allowed: change it, "
+            f"or raise numerics.spacing_mm = {case.scene.numerics.spacing_mm:g}, or lower numerics.duration_ms = "
+            f"{case.scene.numerics.duration_ms:g}"
+        )
 
 
 def _volume_limit(eye, scheme, wall_mass: float) -> float:

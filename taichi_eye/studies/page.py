@@ -62,6 +62,11 @@ def write(study: Study, frame, found: Sequence[Effect], summary: dict[str, Any],
             pictures.append(embedded(data.getvalue()))
     counts = ", ".join(f"{count} {status}" for status, count in summary["status"].items() if count)
     words = f"{study.kind}: {KINDS[study.kind][0]}. {summary['eyes']} eyes: {counts}."
+    used = min((effect.eyes for effect in found), default=summary["eyes"])
+    if used < summary["eyes"] and study.kind != "one_at_a_time":
+        words += (
+            f" What matters was taken from {used} of them, those that show a figure: it is said of such eyes alone."
+        )
     parts = [f"<p>{plain(words)}</p>", *pictures]
     body = [
         (label(name), *(f"{value:.4g}" for value in (row["mean"], row["sd"], row["least"], row["most"])), row["eyes"])

@@ -327,9 +327,10 @@ def _reasons(column) -> dict[str, int]:
 
 
 def _kind_of(reason: str) -> str:
-    """A reason without its numbers: what eyes that stopped for the same have in common."""
-    kept = reason.split(": ", 1)[1] if reason.startswith("stopped at ") else reason
-    return kept.split(" (", 1)[0].split("; ", 1)[0][:160]
+    """A reason without time and place: what eyes that stopped for the same have in common."""
+    if reason.startswith("stopped at "):
+        reason = reason.split(": ", 1)[1].split(" (", 1)[0]
+    return reason[:200]
 
 
 def _figures(frame) -> dict[str, dict[str, float]]:

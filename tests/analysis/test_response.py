@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
-from taichi_eye.analysis.curves import Curves, curves_from_wall, grid
+from taichi_eye.analysis.curves import Curves, curves_from_wall, grid, smooth
 from taichi_eye.analysis.norms import ELDERLY_AGE_YEARS, NORMS, POPULATIONS, judged_by
 from taichi_eye.analysis.response import (
     READ_AS,
@@ -165,3 +166,44 @@ def test_curves_of_a_wall_start_at_rest_height_zero():
     x = grid()
     assert curves.height_mm[0] == pytest.approx(np.sqrt(7.8**2 - x**2) - 7.8, abs=1e-5)
     assert histories(curves).curvature_per_mm[0] == pytest.approx(1 / 7.8, rel=1e-3)
+
+
+def test_walls_are_splined_as_one_by_one():
+    rng = np.random.default_rng(3)
+    r = np.cumsum(np.hstack([np.zeros((6, 1)), rng.uniform(0.1, 0.4, (6, 24))]), axis=1)
+    r[5, 12] = r[5, 11] - 0.05  # a wall that hangs over
+    z = 2.0 - 0.06 * r**2 + rng.normal(0.0, 0.02, r.shape)
+    curves = curves_from_wall(np.arange(6.0), r, z)
+    x, heights = np.abs(curves.x_mm), []
+    for row in range(6):
+        keep = np.concatenate([[True], np.diff(np.maximum.accumulate(r[row])) > 1e-9])
+        spline = CubicSpline(r[row, keep], z[row, keep], bc_type=((1, 0.0), "not-a-knot"))
+        heights.append(np.where(x <= r[row, keep][-1], spline(x), np.nan))
+    np.testing.assert_allclose(curves.height_mm, np.array(heights) - heights[0][len(x) // 2], rtol=0, atol=1e-12)
+
+
+def test_a_moving_polynomial_is_the_weighted_fit_whatever_is_missing():
+    rng = np.random.default_rng(4)
+    time = np.delete(TIMES, [3, 4, 5, 6, 7, 8, 50, 51])
+    values, at = rng.normal(size=len(time)), np.concatenate([rng.uniform(-0.5, 32.5, 40), TIMES[:9]])
+    values[20] = np.nan
+    for degree, derivative, half in ((1, 0, 0.7), (2, 1, 0.8), (3, 0, 1.6)):
+        found = moving(time, values, at, half, degree, derivative)
+        good = np.isfinite(values)
+        for one, value in zip(at, found):
+            distance = np.abs(time[good] - one)
+            width = max(half, 1.01 * np.sort(distance)[degree + 2])
+            weight = np.sqrt(np.clip(1.0 - (distance / width) ** 2, 0.0, None) ** 2)
+            shape = ((time[good] - one) / width)[:, None] ** np.arange(degree + 1)
+            fit = np.linalg.lstsq(shape * weight[:, None], values[good] * weight, rcond=None)[0]
+            assert value == pytest.approx(fit[derivative] / width**derivative, rel=1e-6, abs=1e-8)
+
+
+def test_curves_with_gaps_are_smoothed_as_one_by_one():
+    rng = np.random.default_rng(5)
+    height = rng.normal(size=(7, len(grid())))
+    height[1, :30], height[2, 200:203], height[4, :30], height[5] = np.nan, np.nan, np.nan, np.nan
+    together = smooth(height)
+    for row in range(7):
+        np.testing.assert_allclose(together[row], smooth(height[row : row + 1])[0], rtol=0, atol=1e-12)
+    assert np.isnan(together[5]).all() and np.isfinite(together[2]).all() and np.isnan(together[1, :30]).all()

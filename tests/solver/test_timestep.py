@@ -5,9 +5,11 @@ import math
 import numpy as np
 import pytest
 
+from taichi_eye.errors import SceneError
+from taichi_eye.ladder.rungs import simulation_of
 from taichi_eye.scene import load_scene
 from taichi_eye.solver.case import case_of
-from taichi_eye.solver.timestep import NAMES, StepLimits, limits, stable_step
+from taichi_eye.solver.timestep import NAMES, StepLimits, limits, refuse_endless, rest_limits, stable_step
 
 FIGURES = {
     "smallest_gap": 0.8e-4,
@@ -114,3 +116,28 @@ def test_many_scenes_have_each_its_own_step():
     names = [NAMES[limit] for limit in which]
     assert len(set(names)) > 2
     assert list(zip(steps, names)) == [stable_step(f, case) for f, case in zip(figures, cases)]
+
+
+@pytest.mark.parametrize("rung", ["cavity", "mfpm"])
+def test_the_steps_of_a_run_are_foreseen(rung):
+    keys = ["numerics.spacing_mm=0.4", "numerics.sound_speed_m_s=20", "numerics.duration_ms=1", "puff.peak_kpa=0"]
+    scene = load_scene(None, [*keys, f"numerics.fidelity={rung}"])
+    run, case = simulation_of(scene), case_of(scene)
+    run.run()
+    foreseen = 1e-3 / (case.scheme.cfl * min(rest_limits(case, rung == "mfpm").values()))
+    # a sample takes a whole number of steps
+    assert foreseen / 1.2 < run.steps < 2.0 * foreseen
+
+
+@pytest.mark.parametrize(
+    "keys, named",
+    [
+        (["cornea.shear_viscosity_ms=100", "cornea.shear_modulus_kpa=1e6"], "cornea.shear_viscosity_ms = 100"),
+        (["cornea.flexural_modulus_mpa=100", "cornea.thickness_mm=2", "numerics.spacing_mm=0.02"], "flexural_modulus"),
+        (["numerics.sound_speed_m_s=2000", "numerics.duration_ms=1000"], "numerics.sound_speed_m_s = 2000"),
+    ],
+)
+def test_a_run_without_end_is_refused_with_the_key_that_makes_it_so(keys, named):
+    with pytest.raises(SceneError, match=f"{named}.*numerics.duration_ms"):
+        refuse_endless(case_of(load_scene(None, keys)), 20000, nodes_flow=True)
+    refuse_endless(case_of(load_scene(None, [])), 20000, nodes_flow=True)

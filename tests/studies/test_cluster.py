@@ -7,13 +7,16 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
-import pyarrow.parquet as pq
+import numpy as np
+import pandas
 import pytest
 from processes import environment
 
 from taichi_eye.errors import SceneError
 from taichi_eye.studies import cluster, page
 from taichi_eye.studies import sweep as module
+from taichi_eye.studies.designs import draw
+from taichi_eye.studies.study import load_study
 from taichi_eye.studies.sweep import sweep
 
 HERE = Path(__file__).parent
@@ -77,7 +80,6 @@ def package(folder, text):
 
 def test_a_worker_that_dies_loses_nothing_and_doubles_nothing(scheduler, tmp_path, monkeypatch):
     monkeypatch.setattr(page, "draw", lambda *_: {})
-    here = sweep(STUDY, tmp_path / "here", threads=1, compute="stubs:linear").folder
     put, kept = module.Shelf.put, []
     with workers(scheduler, 2) as (first, second):
 
@@ -91,7 +93,11 @@ def test_a_worker_that_dies_loses_nothing_and_doubles_nothing(scheduler, tmp_pat
         there = sweep(STUDY, tmp_path / "there", scheduler=scheduler, compute="stubs:slow").folder
         assert first.wait(10) != 0 and second.poll() is None
     assert sorted(kept) == list(range(60))
-    assert pq.read_table(there / "table.parquet").equals(pq.read_table(here / "table.parquet"))
+    table = pandas.read_parquet(there / "table.parquet")
+    assert list(table["eye"]) == list(range(60)) and set(table["status"]) == {"complete"}
+    asked = draw(load_study(STUDY))["eye.iop_mmhg"]
+    np.testing.assert_array_equal(table["eye.iop_mmhg"], asked)
+    np.testing.assert_array_equal(table["a1_time_ms"], 5.0 + 0.15 * asked)
 
 
 def test_what_is_no_cluster_for_this_is_refused_with_nothing_written(scheduler, tmp_path, monkeypatch):

@@ -1,0 +1,368 @@
+"""The command line of `estimate DATA`, `calibrate DATA...` and `estimates SCENE`: arguments, output."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import re
+from pathlib import Path
+
+from taichi_eye import backend
+from taichi_eye.errors import NoEstimate, SceneError
+from taichi_eye.options import count, positive, refuse_unwritable, take
+
+NAME_MAX = 100  # letters of the data's name in the folder's
+
+
+def add(commands) -> None:
+    """The parsers of `estimate` and `calibrate`."""
+    estimate = commands.add_parser(
+        "estimate",
+        help="estimate pressure and tissue of an eye from its motion",
+        description="Fit an eye of a scene's model to a trace, a film, a run or a table of clinical parameters; report "
+        "pressure and tissue with their intervals: estimate.json, fit.csv, fit.png, corner.png, overlay.mp4.",
+        epilog="What an estimate is worth: taichi-eye docs estimate",
+        examples=(
+            "taichi-eye estimate film.mp4 --scene corvis_healthy",
+            "taichi-eye estimate trace.csv --scene corvis_healthy --known thickness_um=552+-5 --age-years 63",
+            "taichi-eye estimate renders/seed-001 --free iop_mmhg --model-error-um 0",
+        ),
+    )
+    estimate.add_argument("data", metavar="TRACE.csv|FILM|RUN|TABLE.csv", help="what was measured")
+    _add_model(estimate)
+    estimate.add_argument(
+        "--free",
+        metavar="NAMES",
+        help="which to estimate, of iop_mmhg, in_plane, out_of_plane, globe (all); the others are the scene's",
+    )
+    estimate.add_argument("--instrument", metavar="FILE", help="what `taichi-eye calibrate` wrote")
+    estimate.add_argument("--row", metavar="N", type=int, help="one row of a table, counted from 1")
+    estimate.add_argument(
+        "--calibrate-rows",
+        action="store_true",
+        help="of a table: strength and width of the puff from its own rows, for each row from all the others",
+    )
+    take(estimate, "out", "json", json="the figures as JSON, a copy of estimate.json")
+    estimate.set_defaults(do=_estimate)
+    calibrate = commands.add_parser(
+        "calibrate",
+        help="estimate an instrument's puff from many eyes",
+        description="Strength and width of the puff from films, traces, runs or tables of many eyes, for `estimate "
+        "--instrument`.",
+        examples=(
+            "taichi-eye calibrate films/*.mp4 --scene corvis_healthy --json instrument.json",
+            "taichi-eye estimate film.mp4 --scene corvis_healthy --instrument instrument.json",
+        ),
+    )
+    calibrate.add_argument("data", metavar="DATA", nargs="+", help="what was measured")
+    _add_model(calibrate)
+    calibrate.add_argument("--json", metavar="FILE", required=True, help="where the calibration goes")
+    calibrate.set_defaults(do=_calibrate)
+
+
+def add_study(add) -> None:
+    """The parser of `estimates`; add(name, help, **settings): makes one."""
+    study = add(
+        "estimates",
+        "put the estimate to eyes whose pressure is known",
+        description="Estimates of made eyes of a scene: how far off, and whether their intervals hold the truth; by "
+        "traces, by films, with a wrong puff, by other models. Writes one table and one page; 40 eyes take two hours.",
+        parts=_parts,
+        examples=("taichi-eye check estimates corvis_healthy --only alone --eyes 8",),
+    )
+    take(study, "scene", "set", "only")
+    study.add_argument("--eyes", type=count("eyes", 10000), default=40, metavar="N", help="eyes of a part (40)")
+    study.add_argument("--seed", type=int, default=14, metavar="N", help="of the eyes and their noise (14)")
+    take(study, "json", "out", "threads")
+    study.set_defaults(do=_study)
+
+
+def _parts():
+    from taichi_eye.proof import estimates
+
+    return estimates.PARTS
+
+
+def _study(given) -> int:
+    from taichi_eye.proof import estimates
+    from taichi_eye.scene import load_scene
+
+    unknown = [name for name in given.only if name not in estimates.PARTS]
+    if unknown:
+        raise SceneError(f"--only {unknown[0]}: estimates has {', '.join(estimates.PARTS)}")
+    scene = load_scene(given.scene, given.overrides)
+    refuse_unwritable(given.json)
+    backend.init("cpu", "f64", given.threads)
+    return 0 if estimates.report(scene, given.only, given.eyes, given.seed, given.out, given.json) else 1
+
+
+def _add_model(command) -> None:
+    command.add_argument(
+        "--scene",
+        metavar="SCENE.toml",
+        help="the model, a file or the name of a scene that ships; of a run its own, else it has to be named",
+    )
+    take(command, "set")
+    command.add_argument(
+        "--known",
+        metavar="NAME=VALUE[+-SD]",
+        action="append",
+        default=[],
+        help="what is known: thickness_um, radius_mm; puff, puff_width, whole_eye, in_plane, out_of_plane, globe as "
+        "factors on the scene's; exact without +-SD; may be repeated",
+    )
+    command.add_argument("--age-years", type=float, metavar="YEARS", help="moves what is taken for in_plane beforehand")
+    command.add_argument("--noise-um", type=positive, metavar="UM", help="of a value of a trace (default: from itself)")
+    command.add_argument(
+        "--model-error-um",
+        type=_not_negative,
+        metavar="UM",
+        help="of a history (default: the scene's own misfit to living eyes); 0 for data of the model itself",
+    )
+    command.add_argument(
+        "--tolerance-percent",
+        type=positive,
+        metavar="P",
+        help="end on the cheapest rung within it (default: the scene's numerics.fidelity)",
+    )
+    for flag, text in (
+        ("--pixel-x-mm", "width of a pixel"),
+        ("--pixel-y-mm", "height of a pixel"),
+        ("--frame-interval-ms", "time between frames"),
+    ):
+        command.add_argument(flag, type=positive, metavar=flag.rsplit("-", 1)[1].upper(), help=text)
+    take(command, "threads", "quiet")
+
+
+def _not_negative(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value < 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of 0 or more")
+    return value
+
+
+def known_of(texts: list[str]) -> dict:
+    """`NAME=VALUE[+-SD]` of the command line; SceneError where one reads otherwise."""
+    from taichi_eye.estimation.unknowns import Known
+
+    found = {}
+    for text in texts:
+        name, equals, rest = text.partition("=")
+        parts = re.split(r"\+-|\+/-|\N{PLUS-MINUS SIGN}", rest)
+        try:
+            if not equals or len(parts) > 2:
+                raise ValueError
+            found[name.strip()] = Known(*(float(part) for part in parts))
+        except ValueError:
+            raise SceneError(
+                f"--known {text}: must read NAME=VALUE or NAME=VALUE+-SD, as in thickness_um=552+-5"
+            ) from None
+    return found
+
+
+def _scene(given, path: Path):
+    from taichi_eye.estimation.reading import run_scene_of
+    from taichi_eye.ladder.choose import choose
+    from taichi_eye.scene import load_scene
+
+    if given.scene is not None:
+        scene = load_scene(given.scene, given.overrides)
+    elif (scene := run_scene_of(path)) is not None:
+        if given.overrides:
+            folder = path if path.is_dir() else path.parent
+            scene = load_scene(folder / "scene.toml", given.overrides)
+    else:
+        raise SceneError(
+            f"{path}: says nothing of the model that it is fitted with; name one, as in --scene corvis_healthy"
+        )
+    backend.init("cpu", "f64", given.threads)
+    if given.tolerance_percent is not None:
+        changes = {"numerics.fidelity": "auto", "numerics.tolerance_percent": given.tolerance_percent}
+        scene = choose(scene.but(changes)).scene
+    return scene
+
+
+def _instrument(given) -> dict:
+    return {name: getattr(given, name) for name in ("pixel_x_mm", "pixel_y_mm", "frame_interval_ms")}
+
+
+def _estimate(given) -> int:
+    # plots and solver are slow to load, and other commands do without
+    from tqdm import tqdm
+
+    from taichi_eye.estimation import calibration as instruments
+    from taichi_eye.estimation import estimate as estimates
+    from taichi_eye.estimation import words
+    from taichi_eye.estimation.reading import read
+    from taichi_eye.report.folder import create_run_folder, refuse_taken, write_text
+
+    path = Path(given.data)
+    known = known_of(given.known)
+    free = tuple(name.strip() for name in given.free.split(",")) if given.free else estimates.FREE
+    refuse_unwritable(given.json)
+    refuse_taken(given.out)
+    scene = _scene(given, path)
+    instrument = instruments.Calibration.read(given.instrument) if given.instrument else None
+    found = read(path, scene, given.noise_um, given.age_years, **_instrument(given))
+    seen, rows = found.seen, found.rows
+    if given.row is not None:
+        if rows is None or not 1 <= given.row <= len(seen):
+            raise SceneError(f"--row {given.row}: {path} has {f'rows 1 to {len(seen)}' if rows else 'no rows'}")
+        seen, rows = [seen[given.row - 1]], [rows[given.row - 1]]
+    if given.calibrate_rows and (rows is None or len(rows) < 3):
+        raise SceneError("--calibrate-rows: needs a table of at least three rows")
+    many = rows is not None and len(rows) > 1
+    with tqdm(total=len(seen), unit=" eyes", disable=given.quiet, dynamic_ncols=True, leave=False) as bar:
+
+        def one(observation, wide=False):
+            told = dict(known)
+            if wide:
+                told |= {n: (1.0, instruments.WIDE) for n in instruments.SHARED if n not in known}
+            problem = estimates.problem_of(
+                observation,
+                scene,
+                told,
+                free,
+                given.age_years,
+                given.model_error_um,
+                instrument,
+                bar.set_description_str,
+            )
+            started = estimates.time.perf_counter()
+            solution = estimates.solve(problem, not many)
+            bar.update()
+            return estimates.finished(problem, solution, started, found.film, () if many else found.notes)
+
+        if not many:
+            result = one(seen[0])
+        else:
+            results = []
+            for observation in seen:
+                try:
+                    results.append(one(observation, given.calibrate_rows))
+                except NoEstimate as refusal:
+                    results.append(refusal)
+                    bar.update()
+    folder = create_run_folder(given.out, f"{path.stem[:NAME_MAX]}-estimate")
+    if many:
+        content = _report_rows(results, rows, found.notes, scene, given.calibrate_rows, folder)
+    else:
+        from taichi_eye.estimation import pictures
+
+        for line in words.lines(result):
+            print(line)
+        content = words.as_json(result)
+        pictures.write(result, folder)
+    text = json.dumps(content, indent=2, allow_nan=False) + "\n"
+    write_text(folder / "estimate.json", text)
+    if given.json:
+        write_text(Path(given.json), text)
+    print(folder)
+    return 0
+
+
+def _report_rows(results, rows, notes, scene, calibrated: bool, folder: Path) -> dict:
+    """Print a table's estimates and their agreement with its own pressures; what the JSON file holds."""
+    from taichi_eye.estimation import calibration as instruments
+    from taichi_eye.estimation import words
+    from taichi_eye.estimation.estimate import Estimate
+    from taichi_eye.report.folder import replacing
+
+    content: dict = {}
+    if calibrated:
+        sound = [k for k, one in enumerate(results) if isinstance(one, Estimate)]
+        told = [instruments.told(results[k].problem, results[k].solution) for k in sound]
+        whole = instruments.combined(scene, told)
+        print("puff from these rows: " + _calibrated(whole))
+        content["calibration"] = {n: [k.value, k.deviation] for n, k in whole.known().items()}
+        for k, held_out in zip(sound, instruments.held_out(scene, told)):
+            results[k] = instruments.recalibrated(results[k], held_out)
+    for line in words.table_lines(results, rows):
+        print(line)
+    for note in notes:
+        print(f"note: left out: {note}")
+    agreement = words.agreement(results, rows)
+    if agreement is not None:
+        for line in words.agreement_lines(agreement):
+            print(line)
+        content["agreement"] = vars(agreement)
+    content["rows"] = [words.as_json(one) if isinstance(one, Estimate) else {"refused": str(one)} for one in results]
+    with replacing(folder / "estimates.csv") as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+        names = list(dict.fromkeys(q.name for one in results if isinstance(one, Estimate) for q in one.quantities))
+        table.writerow(["row", *(f"{n}{end}" for n in names for end in ("", "_low95", "_high95")), "chi2", "refused"])
+        for one, row in zip(results, rows):
+            if isinstance(one, Estimate):
+                cells = {q.name: (q.value, *q.range95) for q in one.quantities}
+                figures = [f"{value:.6g}" for n in names for value in cells.get(n, ())]
+                table.writerow([row.label, *figures, f"{one.chi2:.4g}", ""])
+            else:
+                table.writerow([row.label, *[""] * (3 * len(names) + 1), str(one)])
+    return content
+
+
+def _calibrated(calibration) -> str:
+    return ", ".join(f"{n} {k.value:.4f} +- {k.deviation:.4f}" for n, k in calibration.known().items())
+
+
+def _calibrate(given) -> int:
+    from tqdm import tqdm
+
+    from taichi_eye.estimation import calibration as instruments
+    from taichi_eye.estimation import estimate as estimates
+    from taichi_eye.estimation.reading import read
+    from taichi_eye.estimation.unknowns import IOP
+
+    known = known_of(given.known)
+    for name in instruments.SHARED:
+        if name in known:
+            raise SceneError(f"--known {name}: is what is calibrated; leave it out")
+    refuse_unwritable(given.json)
+    if len({Path(data).resolve() for data in given.data}) < len(given.data):
+        raise SceneError("the same data are named twice; a calibration counts each eye once")
+    scene = _scene(given, Path(given.data[0]))
+    told, solved = [], []
+    with tqdm(total=len(given.data), unit=" files", disable=given.quiet, dynamic_ncols=True, leave=False) as bar:
+        for data in given.data:
+            found = read(data, scene, given.noise_um, given.age_years, **_instrument(given))
+            for seen in found.seen:
+                wide = {name: (1.0, instruments.WIDE) for name in instruments.SHARED}
+                problem = estimates.problem_of(
+                    seen,
+                    scene,
+                    {**wide, **known},
+                    estimates.FREE,
+                    given.age_years,
+                    given.model_error_um,
+                    None,
+                    bar.set_description_str,
+                )
+                try:
+                    solution = estimates.solve(problem, len(found.seen) == 1)
+                except NoEstimate as refusal:
+                    print(f"left out: {refusal}")
+                    continue
+                told.append(instruments.told(problem, solution))
+                solved.append((problem, solution))
+            bar.update()
+    if not told:
+        raise NoEstimate("no eye is left to calibrate with")
+    calibration = instruments.combined(scene, told)
+    calibration.write(Path(given.json))
+    anybody = instruments.combined(scene, [])
+    print(f"{'eye':32}{'IOP, mmHg, any instrument':>28}{'this one':>18}")
+    for problem, solution in solved:
+        cells = []
+        for instrument in (anybody, calibration):
+            place, covariance = instruments.updated(problem, solution, instrument)
+            k = problem.before.names.index(IOP)
+            iop = float(estimates.np.exp(place[k]))
+            cells.append(f"{iop:.2f} +- {iop * covariance[k, k] ** 0.5:.2f}")
+        print(f"{problem.seen.name[:30]:32}{cells[0]:>28}{cells[1]:>18}")
+    print(f"{calibration.eyes} eyes: {_calibrated(calibration)} (any instrument: {_calibrated(anybody)})")
+    print(given.json)
+    return 0
