@@ -36,6 +36,11 @@ def versions() -> str:
     return f"taichi-eye {taichi_eye.__version__} ({language()}, Python {platform.python_version()})"
 
 
+def png_metadata() -> dict[str, str]:
+    """Of a picture, as PNG files carry it; the same on every run, so that pictures stay equal to the bit."""
+    return {"Software": versions()}
+
+
 def provenance() -> dict[str, str | int | None]:
     """The record. command: None where a script called, not the command line; date in UTC; the backend as it runs."""
     begun = backend.settings()

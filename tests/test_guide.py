@@ -8,6 +8,7 @@ import sys
 from dataclasses import fields
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from taichi_eye import cli, docs, options, shipped
@@ -268,3 +269,15 @@ def test_a_printed_scene_has_every_key_and_runs_as_the_one_it_was_made_of(name, 
         assert "#" in line or not line
     edited = load_scene(printed, ["eye.iop_mmhg=21", "cornea.thickness_mm=0.5"])
     assert edited == load_scene(name, ["eye.iop_mmhg=21", "cornea.thickness_mm=0.5"])
+
+
+@pytest.mark.parametrize("number", range(len(fenced("python"))))
+def test_python_of_the_readme_runs(number, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    brief = '"numerics.fidelity=cavity", "numerics.duration_ms=1", "camera.view=scheimpflug", "eye.iop_mmhg=20"'
+    shown = {}
+    exec(compile(fenced("python")[number].replace('"eye.iop_mmhg=20"', brief), "README.md", "exec"), shown)
+    if "slopes" in shown:
+        np.testing.assert_allclose(shown["slopes"], shown["points"] * (2, 0), atol=1e-9)
+    else:
+        assert (tmp_path / "renders" / "iop20" / "film.mp4").is_file() and capsys.readouterr().out

@@ -12,6 +12,7 @@ from taichi_eye.analysis.edges import Edges
 from taichi_eye.analysis.response import Histories, Response
 from taichi_eye.film import FilmWriter
 from taichi_eye.film.glyphs import GlyphAtlas, stamp
+from taichi_eye.provenance import png_metadata
 from taichi_eye.report.folder import replacing
 
 ANTERIOR, POSTERIOR, AXIS = (80, 220, 255), (255, 176, 60), (110, 110, 130)
@@ -175,4 +176,4 @@ def plot_page(
         fontsize=12,
     )
     with replacing(path) as temporary:
-        figure.savefig(temporary, format="png", facecolor="white")
+        figure.savefig(temporary, format="png", facecolor="white", metadata=png_metadata())

@@ -17,6 +17,7 @@ from taichi_eye.estimation.fit import SD_68, SD_95
 from taichi_eye.estimation.motion import cheap
 from taichi_eye.estimation.observation import STATIONS_MM, FilmSurface, ParameterRow
 from taichi_eye.estimation.unknowns import IOP, UNKNOWNS
+from taichi_eye.provenance import png_metadata
 from taichi_eye.report.folder import replacing
 from taichi_eye.report.page import COLOURS
 
@@ -27,7 +28,7 @@ def write(found: Estimate, folder: Path) -> None:
     """All pictures of an estimate, and its table of data, fit and residuals."""
     for name, canvas in (("fit.png", draw_fit(found)), ("corner.png", draw_corner(found))):
         with replacing(folder / name) as temporary:
-            canvas.savefig(temporary, format="png", facecolor="white")
+            canvas.savefig(temporary, format="png", facecolor="white", metadata=png_metadata())
     write_table(found, folder / "fit.csv")
     if found.film is not None:
         write_film(found, folder / "overlay.mp4")

@@ -6,6 +6,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from taichi_eye.ladder.chart import TOLERANCES, Chart
+from taichi_eye.provenance import png_metadata
 from taichi_eye.report.folder import replacing
 from taichi_eye.report.page import COLOURS, picture, table, write_page
 
@@ -178,7 +179,7 @@ def write(chart: Chart, folder: Path, title: str) -> Path:
     if chart.errors:
         canvas = plot(chart)
         with replacing(folder / "chart.png") as temporary:
-            canvas.savefig(temporary)
+            canvas.savefig(temporary, metadata=png_metadata())
         parts.append(picture(canvas))
     parts.append(table(HEAD, rows(chart)))
     shares = chart.shares()

@@ -32,6 +32,7 @@ from taichi_eye.proof.claims import (
 )
 from taichi_eye.proof.measures import measure
 from taichi_eye.report.folder import write_text
+from taichi_eye.report.page import footer
 from taichi_eye.scene import load_scene
 
 ODD = 0.02  # share of the odd part from which a history counts as asymmetric; deflections of eyes have 0.05 to 0.07
@@ -579,7 +580,7 @@ def page(results: Results, spacing_mm: float) -> str:
         "fitted peak; skewness of what "
         "stands above 10 % of the peak; largest outward over inward speed; odd part about the midpoint over the whole "
         "(rms); volume: largest loss; energy: largest error over the puff's work.</p>"
-        f"<table class=runs><tr>{head}</tr>{body}</table></html>\n"
+        f"<table class=runs><tr>{head}</tr>{body}</table>{footer()}</html>\n"
     )
 
 

@@ -18,6 +18,7 @@ from taichi_eye.analysis.response import READ_AS
 from taichi_eye.proof import clinic
 from taichi_eye.proof.dcr import FACTOR, PER_10_UM, PER_MMHG, SHOWN, Slope, Study
 from taichi_eye.proof.population import SimulatedEye
+from taichi_eye.provenance import png_metadata
 from taichi_eye.report.folder import replacing
 from taichi_eye.report.page import COLOURS, picture, plain, table, write_page
 
@@ -242,7 +243,7 @@ def write(study: Study, folder: Path) -> Path:
     """clinic.png and clinic.html into the folder; the page's path."""
     canvas = draw(study)
     with replacing(folder / "clinic.png") as temporary:
-        canvas.savefig(temporary, format="png")
+        canvas.savefig(temporary, format="png", metadata=png_metadata())
     parts = [f"<p>{plain(line)}</p>" for line in words(study)] + [picture(canvas)]
     for title, (head, body, failed) in tables(study).items():
         parts.append(f"<h2>{plain(title)}</h2>{table(head, body, failed)}")

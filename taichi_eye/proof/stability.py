@@ -13,6 +13,7 @@ from taichi_eye.proof.maps.sound_speed import sound_speed
 from taichi_eye.proof.maps.spectrum import spectrum
 from taichi_eye.proof.maps.time_step import time_step
 from taichi_eye.proof.maps.wall import wall
+from taichi_eye.provenance import png_metadata
 from taichi_eye.report.folder import create_run_folder, replacing, write_text
 from taichi_eye.report.page import picture, plain, table, write_page
 
@@ -45,7 +46,7 @@ def report(
             say(f"  {line}")
         say(f"  {name}: {time.perf_counter() - started:.0f} s")
         with replacing(folder / f"{name}.png") as temporary:
-            here.canvas.savefig(temporary, format="png", facecolor="white")
+            here.canvas.savefig(temporary, format="png", facecolor="white", metadata=png_metadata())
         theory = __import__(PARTS[name].__module__, fromlist=["x"]).__doc__ or ""
         parts += [f"<h2>{name}</h2>", "<ul>" + "".join(f"<li>{plain(line)}</li>" for line in here.found) + "</ul>"]
         if here.broken:

@@ -84,7 +84,8 @@ def _numeric(cell) -> str:
     return " class=n" if str(cell)[:1].isdigit() or str(cell)[:1] == "-" else ""
 
 
-def _footer() -> str:
+def footer() -> str:
+    """The last line of a page: what computed it, when, and by which command."""
     told = provenance()
     by = f" by {told['command']}" if told["command"] else ""
     return (
@@ -97,5 +98,5 @@ def write_page(path: Path, title: str, parts: list[str]) -> None:
     write_text(
         path,
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title>"
-        f"<style>{STYLE}</style><h1>{html.escape(title)}</h1>{''.join(parts)}{_footer()}</html>\n",
+        f"<style>{STYLE}</style><h1>{html.escape(title)}</h1>{''.join(parts)}{footer()}</html>\n",
     )

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
+from taichi_eye.provenance import png_metadata
 from taichi_eye.report.compare import Measured
 from taichi_eye.report.folder import replacing
 from taichi_eye.report.history import History, summarise
@@ -201,4 +202,4 @@ def plot_sheet(path: Path, frames: Sequence[tuple[float, np.ndarray]]) -> None:
 
 def _save(figure: Figure, path: Path) -> None:
     with replacing(path) as temporary:
-        figure.savefig(temporary, format="png", facecolor="white")
+        figure.savefig(temporary, format="png", facecolor="white", metadata=png_metadata())

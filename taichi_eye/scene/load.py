@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import taichi_eye
 from taichi_eye import shipped
 from taichi_eye.errors import SceneError
 from taichi_eye.scene.draft import CHANGE, FILE, Draft, hint_section, written
@@ -44,7 +45,10 @@ def dump_scene(scene: Scene) -> str:
     A key that was computed stands there as "auto", its value in the comment: whoever edits what it depends on gets it
     computed anew.
     """
-    lines = ["# A taichi_eye scene, every key spelled out; what is computed is computed again where it says auto."]
+    lines = [
+        f"# A scene of taichi_eye {taichi_eye.__version__}, every key spelled out; what is computed is computed again "
+        "where it says auto."
+    ]
     for section in SECTIONS:
         lines += ["", f"[{section}]" + f"{'':{34 - len(section)}}# {SECTIONS[section].__doc__}"]
         for name, (_, spec) in keys_of(section).items():

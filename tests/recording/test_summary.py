@@ -6,10 +6,13 @@ from datetime import datetime, timedelta, timezone
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import taichi_eye
 from taichi_eye import backend, cli
 from taichi_eye.eye.retreat import COURSE, COURSE_MS
+from taichi_eye.provenance import command
+from taichi_eye.report.page import write_page
 
 QUICK = ["numerics.fidelity=cavity", "numerics.spacing_mm=0.4", "camera.frame_count=2", "camera.view=scheimpflug"]
 WORDS = [word for setting in [*QUICK, "eye.whole_eye_movement_mm=0.3"] for word in ("--set", setting)]
@@ -57,3 +60,20 @@ def test_provenance_says_what_computed_where_when_and_how(folder):
 def test_a_script_has_no_command(tmp_path):
     scene = taichi_eye.load_scene(None, [*QUICK, "numerics.duration_ms=0.5"])
     assert taichi_eye.run(scene, tmp_path / "run").summary["provenance"]["command"] is None
+
+
+def test_pictures_and_the_scene_say_the_version(folder):
+    for name in ("apex.png", "sheet.png"):
+        with Image.open(folder / name) as image:
+            assert image.text["Software"].startswith(f"taichi-eye {taichi_eye.__version__} (")
+    assert f"taichi_eye {taichi_eye.__version__}," in (folder / "scene.toml").read_text().splitlines()[0]
+
+
+def test_pages_say_what_wrote_them(tmp_path):
+    with command(["check", "verify", "--only", "a<b"]):
+        write_page(tmp_path / "page.html", "A page", ["<p>text</p>"])
+    write_page(tmp_path / "script.html", "A page", [])
+    told = (tmp_path / "page.html").read_text()
+    assert f"taichi-eye {taichi_eye.__version__} (" in told and platform.python_version() in told
+    assert "by taichi-eye check verify --only 'a&lt;b'</footer>" in told
+    assert "by taichi-eye" not in (tmp_path / "script.html").read_text()
