@@ -4,7 +4,7 @@ The eyes differ in IOP, thickness and puff. A study computes, reads and keeps th
 threads, its start and its plots included; one after another each is run and read alone with all threads
 (`taichi_eye.analysis.simulated.response_of`), as a script would: of some, for all alike. Kernels are compiled before,
 by a study of the same eyes that is cut short, and lie in the cache. The cluster is a scheduler and one or two workers
-of one thread that are started here, each warmed by a study of its own; what is timed is the computation of a second one.
+of one thread that are started here, each warmed by a study of its own; the computation of a second one is timed.
 """
 
 import json
