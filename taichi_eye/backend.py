@@ -114,7 +114,8 @@ def _mark_forked() -> None:
     _forked = _forked or program() is not None
 
 
-os.register_at_fork(after_in_child=_mark_forked)
+if hasattr(os, "register_at_fork"):  # where processes can fork: not on Windows
+    os.register_at_fork(after_in_child=_mark_forked)
 
 
 def real():

@@ -37,6 +37,9 @@ def writable(folder: Path) -> bool:
 
 def temporary() -> Path | None:
     """This user's own folder among the temporary ones, the same from run to run; None where none can be had."""
+    if not hasattr(os, "getuid"):  # Windows, where every account has a temporary folder to itself
+        folder = Path(tempfile.gettempdir()) / "taichi_eye"
+        return folder if writable(folder) else None
     for parent in (tempfile.gettempdir, lambda: SHARED_MEMORY):
         try:
             folder = Path(parent()) / f"taichi_eye-{os.getuid()}"

@@ -5,12 +5,13 @@ a simulation has stepped than before it was made, fields, cloud and stencils; fi
 nodes, of which only what is written takes memory. A whole run takes nodes (h^-2) times steps (h^-1).
 """
 
+import math
 import os
 
 import numpy as np
 
 from taichi_eye import backend
-from taichi_eye.bench.rows import at_most, figure
+from taichi_eye.bench.rows import at_most, figure, skipped
 from taichi_eye.bench.step import steps_of
 from taichi_eye.bench.timing import best_of
 from taichi_eye.scene import load_scene
@@ -42,13 +43,21 @@ def measure(stage, spacings_mm=SPACINGS_MM, run_mm=RUN_MM):
                 f"coupled step at {cloud.count} nodes",
                 1e3 * times[-1],
                 "ms",
-                f"{cloud.count / times[-1] / 1e6:.1f} M node-updates/s on {threads} threads, "
-                f"{held[-1] / 2**20:.0f} MB, {held[-1] / cloud.count:.0f} bytes a node",
+                f"{cloud.count / times[-1] / 1e6:.1f} M node-updates/s on {threads} threads"
+                + (
+                    ""
+                    if math.isnan(held[-1])
+                    else f", {held[-1] / 2**20:.0f} MB, {held[-1] / cloud.count:.0f} bytes a node"
+                ),
             )
         )
     span = f"{nodes[0]} to {nodes[-1]} nodes"
     rows.append(at_most("time of a step grows with the nodes to the power", _slope(nodes, times), "", EXPONENT, span))
-    rows.append(at_most("memory grows with the nodes to the power", _slope(nodes, held), "", EXPONENT, span))
+    memory = "memory grows with the nodes to the power"
+    if math.isnan(held[-1]):
+        rows.append(skipped(memory, "needs /proc, as Linux has it", f"<= {EXPONENT:g}"))
+    else:
+        rows.append(at_most(memory, _slope(nodes, held), "", EXPONENT, span))
     backend.init("cpu", "f64", 1)
     took = []
     for spacing in run_mm:
@@ -78,6 +87,10 @@ def _slope(sizes, values) -> float:
     return float(np.polyfit(np.log(sizes), np.log(values), 1)[0])
 
 
-def _memory() -> int:
-    with open("/proc/self/statm", encoding="ascii") as numbers:
-        return int(numbers.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+def _memory() -> float:
+    """Resident memory of this process in bytes; NaN where the system does not tell it in /proc."""
+    try:
+        with open("/proc/self/statm", encoding="ascii") as numbers:
+            return int(numbers.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return math.nan

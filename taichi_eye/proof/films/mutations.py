@@ -7,7 +7,6 @@ and no parameters where there is no cornea. The films are short, every twelfth f
 
 from __future__ import annotations
 
-import resource
 import shutil
 import tempfile
 import time
@@ -19,7 +18,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from taichi_eye.analysis import analyze
-from taichi_eye.bench.rows import Row, at_most, figure
+from taichi_eye.bench.rows import Row, at_most, figure, skipped
 from taichi_eye.errors import FilmError, SceneError
 from taichi_eye.film import FilmWriter, frame_name
 from taichi_eye.proof.films.eyes import EYES, TIMES_MS, walls_mm
@@ -229,13 +228,20 @@ def measure(stage, inputs: int = INPUTS, seed: int = SEED) -> tuple[list[Row], l
                 except Exception as error:  # what this study looks for
                     broken.append(f"{name}, input {k}: {type(error).__name__}: {error}")
                 slowest = max(slowest, (time.perf_counter() - start, f"{name}, input {k}"))
-    peak = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) / 1e3
+    memory = "largest memory of a process"
+    try:
+        import resource  # not on Windows
+
+        peak = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) / 1e3
+        held = at_most(memory, peak, "MB", MEGABYTES)
+    except ImportError:
+        held = skipped(memory, "this system does not tell it", f"<= {MEGABYTES:g}")
     return [
         at_most(
             "tracebacks", len(broken), "inputs", 0, "; ".join(broken[:3])[:300] or f"{inputs} inputs, {refused} refused"
         ),
         at_most("parameters where there is no cornea", seen_where_none, "inputs", 0),
         at_most("slowest input", slowest[0], "s", SECONDS, slowest[1]),
-        at_most("largest memory of a process", peak, "MB", MEGABYTES),
+        held,
         figure("refused", refused, "inputs"),
     ], []
