@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from taichi_eye.analysis import Instrument, curves_from_edges, find_edges, histories, respond
+from taichi_eye.analysis import Instrument, curves_from_edges, find_edges, histories, optics, respond
+from taichi_eye.analysis.curves import grid
 from taichi_eye.analysis.plausible import believed
 from taichi_eye.proof.films import back_edges, made_up, mutations, obstacles, reading
-from taichi_eye.proof.films.eyes import EYES, TIMES_MS, truth
+from taichi_eye.proof.films.eyes import EYES, TIMES_MS, truth, walls_mm
 
 
 def broken(rows):
@@ -16,6 +17,18 @@ def broken(rows):
 def test_back_edges_drawn_at_random():
     rows, _ = back_edges.measure(lambda text: None, films=5, seed=2)
     assert broken(rows) == []
+
+
+@pytest.mark.parametrize("number", range(len(EYES)))
+def test_the_made_up_back_is_seen_at_the_thickness_that_was_asked_for(number):
+    # at rest and in the deepest dent, whose radius in the narrowest eye is 1 mm
+    walls = walls_mm(EYES[number], EYES[number].scene())[[0, 72, 84]]
+    inner, at, camera = grid(), np.linspace(-4.0, 4.0, 17), Instrument()
+    height = np.stack([np.interp(np.abs(inner), r, z) for r, z in walls.transpose(0, 2, 1)])
+    apparent = np.stack([np.interp(at, inner, one) for one in height])
+    apparent -= camera.pixel_y_mm * made_up.apparent_depth_px(at, height, 600.0)
+    seen = optics.thickness(inner, height, at, apparent, camera.angle_deg, camera.refractive_index)
+    np.testing.assert_allclose(1e3 * seen, 600.0, atol=0.1)
 
 
 def test_obstacles_drawn_at_random():

@@ -23,6 +23,7 @@ from taichi_eye.proof.films.eyes import TIMES_MS, Eye, walls_mm
 
 ROWS, COLUMNS = 200, 576
 GROUP_PX = 24  # columns between which the apparent depth is interpolated
+BRACKET, HALVINGS = (0.1, 1.2), 15  # apparent over true depth; to 0.02 um
 
 
 @dataclass(frozen=True)
@@ -44,16 +45,18 @@ class Look:
 def apparent_depth_px(x_mm: np.ndarray, height_mm: np.ndarray, thickness_um: float) -> np.ndarray:
     """Rows from anterior to apparent posterior edge at x_mm, [frames, len(x_mm)], under heights over `grid()`.
 
-    Right where the dent's radius is well over the thickness: in the narrowest of EYES, with a radius of 1 mm, the
-    fixed point is not reached, and 420 um come out as 500 at the deepest. At rest it is right in all of them.
+    What is seen grows with the depth, so the depth is bracketed and halved: in a dent as narrow as the cornea is thick
+    no fixed point is reached.
     """
     camera, inner = Instrument(), grid()
     anterior = np.stack([np.interp(x_mm, inner, one) for one in height_mm])
-    depth = np.full(anterior.shape, 0.62e-3 * thickness_um)
-    for _ in range(6):
+    low, high = (np.full(anterior.shape, share * 1e-3 * thickness_um) for share in BRACKET)
+    for _ in range(HALVINGS):
+        depth = 0.5 * (low + high)
         seen = optics.thickness(inner, height_mm, x_mm, anterior - depth, camera.angle_deg, camera.refractive_index)
-        depth += 0.6 * (1e-3 * thickness_um - np.nan_to_num(seen, nan=1e-3 * thickness_um))
-    return depth / camera.pixel_y_mm
+        short = seen < 1e-3 * thickness_um
+        low, high = np.where(short, depth, low), np.where(short, high, depth)
+    return 0.5 * (low + high) / camera.pixel_y_mm
 
 
 def draw(eye: Eye, look: Look, thickness_um: float, seed: int, which=slice(None), axis_px: float = 288.0) -> np.ndarray:
