@@ -26,6 +26,7 @@ from taichi_eye.analysis.response import (
 )
 from taichi_eye.errors import FilmError
 from taichi_eye.film import EncoderError
+from taichi_eye.provenance import provenance
 from taichi_eye.report.folder import create_run_folder, refuse_taken, replacing, write_text
 
 NAME_MAX = 100  # letters of the film's name in the folder's
@@ -144,6 +145,7 @@ def write_results(result: Analysis, folder: Path) -> None:
         "parameters": asdict(result.response),
         "computed": None if result.true_response is None else asdict(result.true_response),
         "z_scores": scores,
+        "provenance": provenance(),
     }
     write_text(folder / "parameters.json", json.dumps(report, indent=2, allow_nan=False) + "\n")
     thickness = curves.thickness_mm if curves.thickness_mm is not None else np.full(len(history.time_ms), np.nan)

@@ -22,6 +22,7 @@ import numpy as np
 from tqdm import tqdm
 
 from taichi_eye.errors import Interrupted, OutputError, SceneError
+from taichi_eye.provenance import provenance
 from taichi_eye.recording.signals import Signals
 from taichi_eye.recording.workroom import WorkRoom, program
 from taichi_eye.report.folder import Lock, claim_folder, refuse_taken, write_text
@@ -296,6 +297,7 @@ def _write(folder, room, shelf, study, manifest, took) -> dict[str, Any]:
         "status": {status: int((frame["status"] == status).sum()) for status in STATUSES},
         "reasons": _reasons(frame["reason"]),
         "figures": _figures(frame),
+        "provenance": provenance(),
         "wall_clock": took,
         "program": manifest["program"],
     }
