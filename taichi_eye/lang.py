@@ -9,9 +9,11 @@ that folder cannot be written. So a folder is chosen before the import (see `tai
 `ti.init`; CACHE_NOTE is what the user is told where it is not the usual one.
 """
 
+import contextlib
 import importlib.util
 import os
 import sys
+import time
 from pathlib import Path
 
 from taichi_eye import caches
@@ -71,6 +73,21 @@ else:
     import quadrants as ti
 
 
+STALE_LOCK_S = 60.0
+
+
+def drop_stale_locks(folder: Path) -> None:
+    """Remove the cache's lock where a process that was killed while it saved kernels has left it.
+
+    The language takes the lock for a second at most and waits for no other: where one is left, nothing is saved any
+    more and every later process compiles anew, in silence.
+    """
+    for lock in folder.glob("*.lock"):
+        with contextlib.suppress(OSError):
+            if time.time() - lock.stat().st_mtime > STALE_LOCK_S:
+                lock.unlink()
+
+
 def program():
     """What the last `ti.init` of this process started; None before the first."""
     runtime = ti.lang.impl.get_runtime()
@@ -83,6 +100,7 @@ def cache_options() -> dict:
     if CACHE_NOTE and sys.stderr is not None:
         print(f"taichi-eye: {CACHE_NOTE}", file=sys.stderr)
     CACHE_NOTE = ""
+    drop_stale_locks(CACHE)
     if os.environ.get(CACHE_VARIABLE) == str(CACHE):
         return {"offline_cache": True}  # read from there
     return {"offline_cache": True, "offline_cache_file_path": str(CACHE)}

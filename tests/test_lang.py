@@ -2,12 +2,13 @@
 
 import os
 import stat
+import time
 from pathlib import Path
 
 import pytest
 from processes import python
 
-from taichi_eye import caches
+from taichi_eye import caches, lang
 from taichi_eye.lang import CACHE_VARIABLE, NAME, NAMES
 
 USUAL = Path(NAME) / {"taichi": "ticache", "quadrants": "qdcache"}[NAME]
@@ -101,3 +102,14 @@ def test_without_any_folder_a_start_is_refused_in_one_line(script, tmp_path):
     assert done.returncode == 2 and done.stdout == ""
     assert len(done.stderr.splitlines()) == 1 and "XDG_CACHE_HOME" in done.stderr
     assert {path.name for path in tmp_path.iterdir()} == {"blocked", "twice.py"}
+
+
+def test_a_lock_that_a_killed_process_left_goes_and_one_in_use_stays(tmp_path):
+    left, used = tmp_path / "ticache.lock", tmp_path / "other.lock"
+    left.touch()
+    used.touch()
+    long_ago = time.time() - 2.0 * lang.STALE_LOCK_S
+    os.utime(left, (long_ago, long_ago))
+    lang.drop_stale_locks(tmp_path)
+    assert not left.exists() and used.exists()
+    lang.drop_stale_locks(tmp_path / "none")

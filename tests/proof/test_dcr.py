@@ -154,3 +154,30 @@ def test_keratoconus_is_judged_by_the_sign_of_each_published_difference():
     assert rows["a1_velocity_m_s"].share == pytest.approx(-0.5) and not rows["a1_velocity_m_s"].holds
     assert rows["central_thickness_um"].share == pytest.approx(1.0)
     assert rows["a2_velocity_m_s"].share is None and not rows["a2_velocity_m_s"].holds
+
+
+@pytest.fixture(scope="module")
+def healthy():
+    return dcr.response_of(load_scene(HEALTHY))
+
+
+def test_the_clinical_eye_shows_the_levels_of_living_eyes(healthy):
+    judged = [level for level in dcr.levels_of(healthy.response) if level.holds is not None]
+    assert not healthy.stopped and len(judged) == 12
+    assert [level.name for level in judged if not level.holds] == []
+
+
+def test_the_clinical_eyes_slopes_with_pressure_have_the_sign_of_living_ones():
+    scene = load_scene(HEALTHY, ["numerics.fidelity=cavity"])
+    eyes = [population.simulate(scene, iop, thickness) for iop, thickness in population.starred(scene)]
+    assert not any(eye.stopped for eye in eyes)
+    found = [slope for slope in dcr.slopes_of(eyes) if slope.unit == dcr.PER_MMHG]
+    assert len(found) == 9 and all(slope.ratio > 0.0 for slope in found)
+    # of A1 velocity and HC radius only the sign is right
+    close = [slope.name for slope in found if 1.0 / 1.6 < slope.ratio < 1.6]
+    assert {slope.name for slope in found} - set(close) == {"a1_velocity_m_s", "hc_circle_radius_mm"}
+
+
+def test_the_keratoconic_eye_differs_from_the_healthy_one_as_published(healthy):
+    ill = dcr.response_of(load_scene(HEALTHY.parent / "keratoconus.toml"))
+    assert [row.name for row in public.diseased(healthy, ill) if not row.holds] == []
