@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import taichi_eye
 from taichi_eye import cli, docs, options, shipped
 from taichi_eye.analysis.norms import NORMS, POPULATIONS
 from taichi_eye.analysis.response import Response
@@ -156,7 +157,7 @@ def test_readme_is_short_and_its_python_is_python():
     for text in (README, docs.text("python")):
         for block in fenced("python", text):
             for name in re.findall(r"taichi_eye\.(\w+)", block):
-                assert name in __import__("taichi_eye").__all__ or (ROOT / "taichi_eye" / name).exists(), name
+                assert name in taichi_eye.__all__ or (ROOT / "taichi_eye" / name).exists(), name
             ast.parse(block)
 
 
@@ -281,3 +282,8 @@ def test_python_of_the_readme_runs(number, tmp_path, monkeypatch, capsys):
         np.testing.assert_allclose(shown["slopes"], shown["points"] * (2, 0), atol=1e-9)
     else:
         assert (tmp_path / "renders" / "iop20" / "film.mp4").is_file() and capsys.readouterr().out
+
+
+def test_the_newest_change_is_that_of_this_version():
+    changes = (ROOT / ".github" / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert re.findall(r"^## (\S+)$", changes, re.MULTILINE)[0] == taichi_eye.__version__
