@@ -19,7 +19,7 @@ is that of Gauss and Laplace; the interval of the IOP is read off its profile, a
 The least value is that of chi^2 with as many degrees of freedom as data, less the unknowns of which nothing is known
 beforehand. Where there is a model error and the least is improbable (WIDEN_P), the model error is enlarged until the
 least is what it should be, at most by WIDEST; what is still improbable (REFUSED_P), or is so without a model error, is
-no eye of this model, and there is no estimate.
+no eye of this model, and there is no estimate; nor is there one where the nearest eye is FAR_SHARE of the dent away.
 """
 
 from __future__ import annotations
@@ -53,11 +53,12 @@ HOP, HOPS, LOWER = 2.5, 2, 0.5
 CHEAPEST = "membrane", "cavity"  # rungs that nothing is cheaper than
 LEFT_OUT = 0.5, 0.15  # of `CAVITY`: what added mass leaves out, and more to begin with
 DETOURS = 0.0, 0.05, 0.1  # of ln IOP, where a fine run is stopped: a shell folds less the higher its pressure
-WIDEN_P, REFUSED_P, WIDEST = 0.05, 1e-4, 5.0
+WIDEN_P, REFUSED_P, WIDEST = 0.05, 1e-4, 3.0
 PROFILE_SD = 0.7, 1.4, 2.1, 2.8
 PROFILE_STEPS = 3
 GAIN = 0.05  # of the sum of squares along a profile, below which it is not made less
 SD_68, SD_95 = 1.0, 1.959964
+FAR_SHARE = 0.08  # of the largest depth, rms
 ON_BOUND = 0.02  # of the way between the bounds
 
 
@@ -286,6 +287,7 @@ def _solving(problem: Problem, finely: bool) -> Generator[Scene, Motion, Solutio
         place = _best(problem, [place])
     degrees = len(problem.seen.values) - int((np.diag(problem.before.precision) == 0.0).sum())
     place = _widened(problem, place, degrees)
+    _refuse_far(problem, place)
     rung = rung if finely and not stopped else problem.rung
     like = Solution(place, np.empty(0), 0.0, degrees, 0.0, rung, rounds, stopped, settled or not finely)
     return _solution(problem, place, like)
@@ -406,6 +408,21 @@ def _hopped(problem: Problem, place: np.ndarray) -> np.ndarray:
             break
         place = lowest
     return place
+
+
+def _refuse_far(problem: Problem, place: np.ndarray) -> None:
+    """NoEstimate where the nearest eye is far from a history, however large a model error would have it: a model that
+    misses by more is no model of what was measured."""
+    if problem.seen.unit != "mm":
+        return
+    off = problem.predict(place) + problem.defect.at(place) - problem.seen.values
+    rms, depth = float(np.sqrt(np.mean(off**2))), float(np.abs(problem.seen.values).max())
+    if rms > FAR_SHARE * depth:
+        raise NoEstimate(
+            f"{problem.seen.name}: no eye of this scene moves like that: the nearest is {1e3 * rms:.0f} um off (rms), "
+            f"{100.0 * rms / depth:.0f} % of the largest depth; more than {100.0 * FAR_SHARE:g} % is another motion. "
+            "Check the units, the scene and its puff"
+        )
 
 
 def _starts(problem: Problem) -> list[np.ndarray]:

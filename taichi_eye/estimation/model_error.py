@@ -2,7 +2,8 @@
 
 Of a history: a Gaussian process in time, Matern 3/2 with a time of TIME_MS, in films along the cornea, too (REACH_MM),
 times the square root of the dent's depth over its largest, so that an eye at rest is at rest in the model as well. What
-a model gets wrong goes on for milliseconds and does not average out over frames as noise does. Of a row of parameters:
+a model gets wrong goes on for milliseconds and does not average out over frames as noise does. A trace's holds as much
+again of what lasts the whole puff: a dent too deep by a share, and one too late. Of a row of parameters:
 an independent error of each.
 
 How large it is by default is what the scene's own eye is off living eyes (`taichi_eye.analysis.norms`), at their mean
@@ -86,6 +87,13 @@ def correlation(distance: np.ndarray, reach: float) -> np.ndarray:
     """Matern 3/2 at distances [any shape]."""
     r = np.sqrt(3.0) * np.abs(distance) / reach
     return (1.0 + r) * np.exp(-r)
+
+
+def lasting(depth: np.ndarray, pace: np.ndarray) -> np.ndarray:
+    """Correlation of an error that lasts the whole history: too deep by a share, and too late, each by one standard
+    deviation where it shows most."""
+    deep, fast = (one / max(float(np.abs(one).max()), 1e-9) for one in (depth, pace))
+    return np.outer(deep, deep) + np.outer(fast, fast)
 
 
 def envelope(depth: np.ndarray) -> np.ndarray:

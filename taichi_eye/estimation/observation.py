@@ -22,7 +22,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from taichi_eye.analysis.curves import grid
-from taichi_eye.analysis.response import APEX_MM, Histories, respond
+from taichi_eye.analysis.response import APEX_MM, Histories, moving, respond
 from taichi_eye.estimation import model_error as errors
 from taichi_eye.estimation.model_error import ModelError
 from taichi_eye.estimation.motion import Motion
@@ -85,7 +85,9 @@ class ApexHistory(Observation):
     def model_error(self, model: ModelError) -> np.ndarray:
         size = model.history_mm * errors.envelope(self.values)
         apart = self.time_ms[:, None] - self.time_ms
-        return size[:, None] * size * errors.correlation(apart, errors.TIME_MS)
+        passing = size[:, None] * size * errors.correlation(apart, errors.TIME_MS)
+        pace = np.gradient(moving(self.time_ms, self.values, self.time_ms, 1.0, 2), self.time_ms)
+        return passing + model.history_mm**2 * errors.lasting(self.values, pace)
 
 
 @dataclass(frozen=True, eq=False)

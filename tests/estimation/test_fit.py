@@ -82,7 +82,7 @@ def test_a_fine_run_that_is_stopped_is_taken_beside_and_a_model_that_always_stop
 def test_what_no_eye_could_do_is_refused_and_with_a_model_error_the_intervals_widen(monkeypatch):
     use(monkeypatch)
     scene, known = scene_with(BASE, TRUTH), {**ELSE, "in_plane": 1.25, "globe": 0.85}
-    bent = seen(scene, 9).values + 0.08 * np.sin(TIMES_MS / 1.2) * (apex_mm(scene) > 0.1)
+    bent = seen(scene, 9).values + 0.05 * np.sin(TIMES_MS / 1.2) * (apex_mm(scene) > 0.1)
     data = of_history("bent", TIMES_MS, bent, False, 0.01)
     with pytest.raises(NoEstimate, match="bent: no eye of this scene moves like that: chi"):
         estimate(data, BASE, known, model_error_um=0.0)
@@ -91,7 +91,7 @@ def test_what_no_eye_could_do_is_refused_and_with_a_model_error_the_intervals_wi
     assert wide.widened > 1.2 and wide["iop_mmhg"].deviation > 1.2 * sure["iop_mmhg"].deviation
     assert any("larger" in text or "times as large" in text for text in wide.warnings)
     wild = of_history("wild", TIMES_MS, bent * np.cos(TIMES_MS) ** 2, False, 0.01)
-    with pytest.raises(NoEstimate, match="even with a model error"):
+    with pytest.raises(NoEstimate, match="the nearest is .* um off"):
         estimate(wild, BASE, known, model_error_um=20.0)
 
 
