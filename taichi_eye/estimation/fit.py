@@ -416,7 +416,8 @@ def _refuse_far(problem: Problem, place: np.ndarray) -> None:
     if problem.seen.unit != "mm":
         return
     off = problem.predict(place) + problem.defect.at(place) - problem.seen.values
-    rms, depth = float(np.sqrt(np.mean(off**2))), float(np.abs(problem.seen.values).max())
+    beyond_noise = max(float(np.mean(off**2) - np.mean(np.diag(problem.seen.noise()))), 0.0)
+    rms, depth = np.sqrt(beyond_noise), float(np.abs(problem.seen.values).max())
     if rms > FAR_SHARE * depth:
         raise NoEstimate(
             f"{problem.seen.name}: no eye of this scene moves like that: the nearest is {1e3 * rms:.0f} um off (rms), "
