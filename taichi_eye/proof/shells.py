@@ -84,11 +84,12 @@ def jet_force(quick: bool = False):
     """The jet's force on walls of one curvature: sum of the load over the rings against its integral.
 
     p pi w^2, w = w_flat / (1 + c D kappa), D = 2.4 mm, c = 1/2, w_flat = D / sqrt 2, for a cap, a
-    flat wall and a dent. A flat wall takes the jet's whole momentum p pi D^2 / 2; by momentum a curved one takes
+    flat wall and a dent. Rings carry the mean of the load over them, so any number of them has the force to what lies
+    beyond the rim. A flat wall takes the jet's whole momentum p pi D^2 / 2; by momentum a curved one takes
     1 - sin(kappa D) of it: reported beside. The apex keeps its pressure, where flow computations find 6.3 +- 2.2 % less
     in a dent (PMC6982245); a jet of constant force would lose what is reported last.
     """
-    grids = (45, 90) if quick else (45, 90, 180)
+    grids = (45,) if quick else (45, 180)
     flat, feedback = jet.NOZZLE / np.sqrt(2.0), 0.5
     rows = []
     for name, curvature in (("cap of 7.8 mm", 1.0 / 7.8e-3), ("flat wall", 0.0), ("dent of 7 mm", -1.0 / 7e-3)):
@@ -108,11 +109,9 @@ def jet_force(quick: bool = False):
                 f"force over apex pressure, {name} (m^2)",
                 float(exact),
                 found[-1],
-                errors[-1],
-                1e-3,
-                order(1.0 / np.array(grids), errors),
-                1.8,
-                f"{grids[-1]} elements",
+                max(errors),
+                1e-6,
+                note=f"worst of {' and '.join(map(str, grids))} elements",
             )
         )
         momentum = 0.5 * np.pi * jet.NOZZLE**2 * (1.0 - np.sin(curvature * jet.NOZZLE))

@@ -15,6 +15,8 @@ from taichi_eye.solver.guards import Guard, check, least_stress, liquid_advice
 SOUND = {
     "least_stress": 14e3,
     "slackest_element": 3.0,
+    "steepest_slant": 1.0,
+    "slanted_element": 0.0,
     "chamber_gap": 0.6,
     "gap_node": 0.0,
     "flattest_triangle": 0.6,
