@@ -1,6 +1,6 @@
 """A run that is cut off anywhere and resumed leaves what one leaves that was never cut off.
 
-The environment variable TAICHI_EYE_KILLS sets how many runs are killed (2), TAICHI_EYE_SIGNALS how many are ended by
+The environment variable TAICHI_EYE_KILLS sets how many runs are killed (1), TAICHI_EYE_SIGNALS how many are ended by
 each signal (1): the long form of this proof takes 200 and 20.
 """
 
@@ -22,7 +22,7 @@ from taichi_eye.recording.workroom import WorkRoom
 from taichi_eye.report.folder import Lock
 from taichi_eye.report.traces import read_traces
 
-KILLS = int(os.environ.get("TAICHI_EYE_KILLS", 2))
+KILLS = int(os.environ.get("TAICHI_EYE_KILLS", 1))
 SIGNALS = int(os.environ.get("TAICHI_EYE_SIGNALS", 1))
 ALWAYS = {"film.mp4", "apex.png", "sheet.png", "traces.csv", "wall.npz", "summary.json", "scene.toml"}
 _references: dict[str, Reference] = {}
