@@ -15,6 +15,7 @@ Deflections are relative to the flanks, so the retreat of the whole eye drops ou
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -39,7 +40,7 @@ SHARES = (0.9, 0.1)  # of the largest depth, that part a history
 
 
 @dataclass(frozen=True, eq=False)
-class Observation:
+class Observation(ABC):
     """What all kinds have. kind: in a word; name: of the source; unit: of the values."""
 
     name: str
@@ -52,14 +53,17 @@ class Observation:
     unit = "mm"
     retreats = False  # whether the values hold the retreat of the whole eye
 
+    @abstractmethod
     def predict(self, motion: Motion) -> np.ndarray:
-        raise NotImplementedError
+        """The values that a motion would show, as measured."""
 
+    @abstractmethod
     def noise(self) -> np.ndarray:
-        raise NotImplementedError
+        """Covariance of what was measured."""
 
+    @abstractmethod
     def model_error(self, model: ModelError) -> np.ndarray:
-        raise NotImplementedError
+        """Covariance of what the model gets wrong."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -100,8 +100,8 @@ class Cornea:
         self.flexible = ti.field(ti.i32, eyes)
         self.inclination = vector()  # angle of each element, and its change from rest
         self.moment = vector()  # as flexure
-        # of transverse shear: stiffness of each element, its viscous and its whole derivative by gamma [J]
-        self.shear, self.overshear, self.shear_torque = scalar(), scalar(), scalar()
+        # of transverse shear: stiffness of each element, its gamma, its viscous and its whole derivative by gamma [J]
+        self.shear, self.slide, self.overshear, self.shear_torque = (scalar() for _ in range(4))
         self.shear_delay = ti.field(fp, eyes)
         self.curvature, self.narrowing, self.mean_over_ring = jet.text(ti, ti.func)
         self.load_rate, self.dent_feedback = ti.field(fp, eyes), ti.field(fp, eyes)
@@ -116,7 +116,7 @@ class Cornea:
     def evolving(self) -> dict:
         """The fields of nodes and elements that evolve and that a step reads, by name (`taichi_eye.solver.state`)."""
         names = ("place", "velocity", "acceleration", "lost", "force_air", "air_pressure", "stress", "strain")
-        names += ("overstress", "overmoment", "overshear", "inclination")
+        names += ("overstress", "overmoment", "slide", "overshear", "inclination")
         return {f"cornea_{name}": getattr(self, name) for name in names}
 
     def evolving_of_eyes(self) -> dict:
@@ -281,7 +281,7 @@ class Cornea:
                 )
                 zero = ti.Vector([0.0, 0.0])
                 self.moment[k], self.overstress[k], self.overmoment[k] = zero, zero, zero
-                self.shear[k], self.overshear[k], self.shear_torque[k] = shear[n], 0.0, 0.0
+                self.shear[k], self.slide[k], self.overshear[k], self.shear_torque[k] = shear[n], 0.0, 0.0, 0.0
             self.flexible[eye] = ti.select(flexure[0, 1] > 0.0 or shear[0] > 0.0, 1, 0)
 
     @ti.func
@@ -326,19 +326,20 @@ class Cornea:
                 over = kept * self.overmoment[k] + gain * self.flexure[k] * change
                 self.relaxed_work[eye] += 0.5 * (over + self.overmoment[k]).dot(change)
                 self.overmoment[k], self.moment[k] = over, self.flexure[k] * bend + over
-                self._tilt(eye, k, turned, dt)
+                if self.shear[k] > 0.0:
+                    self._tilt(eye, k, turned[0], dt)
         for k in range(first, last):
             self._stretch(eye, k, kept, gain)
 
     @ti.func
     def _tilt(self, eye, k, turned, dt):
-        # what shear of element k asks of its gamma, from its turn from rest now and a step ago
-        slide, before = ti.tan(turned[0]), ti.tan(turned[1])
-        over = 0.0
+        # what shear of element k asks of its gamma, dt after the last one
+        slide, over = ti.tan(turned), 0.0
+        change = slide - self.slide[k]
         if dt > 0.0:
-            over = self.shear[k] * self.shear_delay[eye] * (slide - before) / dt
-        self.relaxed_work[eye] += 0.5 * (over + self.overshear[k]) * (slide - before)
-        self.overshear[k], self.shear_torque[k] = over, self.shear[k] * slide + over
+            over = self.shear[k] * self.shear_delay[eye] * change / dt
+        self.relaxed_work[eye] += 0.5 * (over + self.overshear[k]) * change
+        self.slide[k], self.overshear[k], self.shear_torque[k] = slide, over, self.shear[k] * slide + over
 
     @ti.func
     def _stretch(self, eye, k, kept, gain):
@@ -528,8 +529,8 @@ class Cornea:
 
     @ti.func
     def slant(self, k):
-        """1 + gamma^2 = d gamma / d phi of element k, as it was last deformed; 1 where nothing resists out of plane."""
-        return 1.0 / ti.cos(self.inclination[k][1]) ** 2
+        """1 + gamma^2 = d gamma / d phi of element k, as it was last deformed; 1 where nothing shears."""
+        return 1.0 + self.slide[k] * self.slide[k]
 
     @ti.func
     def borne_stress(self, eye, k):

@@ -35,7 +35,7 @@ CONDITION_GROWTH = 1e3  # over the limit that stencils are chosen by
 ENERGY_SHARE = 0.1  # of the largest work done so far
 CHURN_SHARE = 0.15  # of the same: fed by the scheme and taken by its dissipation
 ENERGY_FLOOR = 1e-10  # J: below it no gain is judged (the default puff works 2e-5 J)
-OVERTURNED = 15.0  # 1 / cos^2 of a turn by 75 degrees: sections that stay as they were lie along the wall
+OVERTURNED = 15.0  # 1 / cos^2 of a turn by 75 degrees, where there is shear: sections that stayed lie along the wall
 LIGHT = 0.3  # mass of the cornea over that of a layer of nodes below which the wall pressure outruns the wall
 
 
@@ -57,11 +57,6 @@ def least_stress(eye: Eye) -> float:
     rigidity = float(eye.rigidity(cornea.thickness))
     bent = 2.0 * math.sqrt(rigidity * eye.youngs_modulus / cornea.thickness) / eye.section.radius
     return -bent - eye.shear_stiffness
-
-
-def most_slant(eye: Eye) -> float:
-    """1 / cos^2 of the largest turn from rest that the law of transverse shear is asked about; infinite without it."""
-    return OVERTURNED if eye.shear_stiffness > 0.0 else math.inf
 
 
 def check(
@@ -94,7 +89,7 @@ def check(
     torn = not shell and found < -case.eye.rest_stress
     if failed and not (grew or torn):
         stop(*_failing(found, lobes), figures["slackest_element"])
-    if figures["steepest_slant"] > most_slant(case.eye) and not grew:
+    if figures["steepest_slant"] > OVERTURNED and not grew:
         stop(
             "the wall has turned by more than 75 degrees",
             "Transverse shear knows walls that turn less: lower puff.peak_kpa, raise eye.iop_mmhg or "
@@ -179,7 +174,7 @@ class Guard:
             (self._low, "chamber_gap", CLOSED),
             (self._low, "flattest_triangle", FLAT),
             (self._high, "not_finite", 0.0),
-            (self._high, "steepest_slant", [most_slant(case.eye) for case in cases]),
+            (self._high, "steepest_slant", OVERTURNED),
             (self._high, "worst_condition", np.nextafter(np.array(condition), 0.0)),
             (self._high, "coupling_status", RUNNING),
         ):

@@ -24,7 +24,7 @@ from taichi_eye.solver.case import case_of
 from taichi_eye.solver.cornea import Cornea
 from taichi_eye.solver.figures import at, at_rest, traces_of
 from taichi_eye.solver.folding import Folding
-from taichi_eye.solver.guards import CLOSED, Advice, Guard, most_slant
+from taichi_eye.solver.guards import CLOSED, OVERTURNED, Advice, Guard
 from taichi_eye.solver.motion import Motion
 from taichi_eye.solver.potential import LayerFlow, PotentialFlow
 from taichi_eye.solver.rings import ring_areas
@@ -132,7 +132,6 @@ class Reduced:
             bending_step=bending_limit(eye),
             shear_damping=shear_damping(eye),
             least_stress=-math.inf if eye.cornea.is_shell else 0.0,
-            most_slant=most_slant(eye),
         )
         self.stepper.globe.build(eye)
 
@@ -231,7 +230,7 @@ class Reduced:
                 row = rows[number]
                 self.out_of_validity = lobes is not None or bool(
                     row[at.chamber_gap] < CLOSED
-                    or row[at.steepest_slant] > most_slant(self.eye)
+                    or row[at.steepest_slant] > OVERTURNED
                     or not self.eye.cornea.is_shell
                     and row[at.least_stress] <= 0.0
                 )
