@@ -202,7 +202,7 @@ def curves_from_edges(edges: Edges, time_ms: np.ndarray, instrument: Instrument)
     apparent = -edges.posterior[good] * instrument.pixel_y_mm - top
     at = (at_px - centre) * cos(turn) + apparent * sin(turn)
     lifted = apparent * cos(turn) - (at_px - centre) * sin(turn)
-    places = _row_mean(at[rest].T)
+    places = nanmean(at[rest])
     inside = np.isfinite(places) & (np.abs(places) < X_REACH_MM)
     thick, profile = None, None
     if inside.any():
@@ -210,8 +210,8 @@ def curves_from_edges(edges: Edges, time_ms: np.ndarray, instrument: Instrument)
         anterior, lifted = _over_frames(x, _smooth_filled(turned), places[inside], lifted)
         local = optics.thickness(x, anterior, places[inside], lifted, instrument.angle_deg, instrument.refractive_index)
         central = np.abs(places[inside]) <= CENTRAL_MM
-        thick = _row_mean(local[:, central])
-        profile = np.interp(x, places[inside], _row_mean(local[rest].T), left=np.nan, right=np.nan)
+        thick = nanmean(local[:, central], 1)
+        profile = np.interp(x, places[inside], nanmean(local[rest]), left=np.nan, right=np.nan)
     return Curves(
         time,
         x,
@@ -260,12 +260,14 @@ def _turned_about(
 
 
 def _mean_rest(height: np.ndarray, rest: np.ndarray) -> np.ndarray:
-    return _row_mean(height[rest].T)
+    return nanmean(height[rest])
 
 
-def _row_mean(values: np.ndarray) -> np.ndarray:
+def nanmean(values: np.ndarray, axis: int = 0) -> np.ndarray:
+    """The mean of what is finite along an axis, NaN where nothing is."""
     good = np.isfinite(values)
-    return np.where(good.any(axis=1), np.where(good, values, 0.0).sum(axis=1) / np.maximum(good.sum(axis=1), 1), np.nan)
+    count = good.sum(axis)
+    return np.where(count > 0, np.where(good, values, 0.0).sum(axis) / np.maximum(count, 1), np.nan)
 
 
 def _smooth_filled(height: np.ndarray) -> np.ndarray:
@@ -310,7 +312,7 @@ def _axis(x: np.ndarray, displacement: np.ndarray) -> float | None:
     """Where the displacement of the deepest frames is most symmetric; None where nothing moved."""
     depth = np.nanmax(savgol_filter(np.nan_to_num(displacement), 31, 2, axis=1), axis=1)
     deepest = np.argsort(depth)[-7:]
-    mean = _row_mean(displacement[deepest].T)
+    mean = nanmean(displacement[deepest])
     good = np.isfinite(mean)
     mean = savgol_filter(np.interp(x, x[good], mean[good]), 31, 2)
     mean[: np.argmax(good)] = np.nan

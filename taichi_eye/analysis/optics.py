@@ -56,12 +56,6 @@ def thickness(
     return np.where(np.isfinite(px + pz) & np.isfinite(best), best, np.nan)
 
 
-def flat_ratio(angle_deg: float, refractive_index: float) -> float:
-    """Apparent over true depth behind a flat surface."""
-    angle = radians(angle_deg)
-    return tan(np.arcsin(sin(angle) / refractive_index)) / tan(angle)
-
-
 def _sample(x: np.ndarray, table: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Linear interpolation of table [frames, columns] over even x at `at` [frames, groups], held at the ends."""
     t = np.clip((at - x[0]) / (x[1] - x[0]), 0.0, len(x) - 1.000001)

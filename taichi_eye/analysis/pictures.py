@@ -11,7 +11,7 @@ from taichi_eye.analysis.curves import Curves
 from taichi_eye.analysis.edges import Edges
 from taichi_eye.analysis.response import Histories, Response
 from taichi_eye.film import FilmWriter
-from taichi_eye.film.glyphs import GlyphAtlas, stamp
+from taichi_eye.film.glyphs import glyph_atlas, stamp
 from taichi_eye.provenance import png_metadata
 from taichi_eye.report.folder import replacing
 
@@ -32,7 +32,7 @@ def write_overlay(
     response: Response,
 ) -> None:
     """The film at twice its size and brightened, with both edges, the axis, the time and the phase of the test."""
-    atlas = GlyphAtlas(13)
+    atlas = glyph_atlas(13)
     columns = SCALE * frames.shape[2]
     at = np.arange(columns) / SCALE - 0.25
     events = [

@@ -12,7 +12,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from taichi_eye.analysis.curves import REST_MS, Curves
+from taichi_eye.analysis.curves import REST_MS, Curves, nanmean
 from taichi_eye.analysis.response import Histories, Response, circle
 from taichi_eye.errors import FilmError
 
@@ -142,13 +142,8 @@ def _doubt_events(response: Response, curves: Curves, time: np.ndarray, doubt) -
 
 def _ends(history: Histories) -> tuple[np.ndarray, np.ndarray]:
     """The mean curves of the film's first and last REST_MS."""
-    time = history.time_ms
-    out = []
-    for near in (time <= time[0] + REST_MS, time >= time[-1] - REST_MS):
-        part = history.height_mm[near]
-        count = np.isfinite(part).sum(axis=0)
-        out.append(np.where(count > 0, np.nansum(part, axis=0) / np.maximum(count, 1), np.nan))
-    return out[0], out[1]
+    time, height = history.time_ms, history.height_mm
+    return nanmean(height[time <= time[0] + REST_MS]), nanmean(height[time >= time[-1] - REST_MS])
 
 
 def _like_an_eye(x: np.ndarray, height: np.ndarray) -> bool:

@@ -32,7 +32,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from taichi_eye.analysis.curves import REST_MS, Curves, seen_alike, smooth
+from taichi_eye.analysis.curves import REST_MS, Curves, nanmean, seen_alike, smooth
 from taichi_eye.eye.puff import CORVIS_FALL, CORVIS_PEAK_S, CORVIS_RISE
 
 APEX_MM = 0.10  # half width of the mean that is the apex
@@ -133,12 +133,12 @@ def histories(curves: Curves, curvature_mm: float = CURVATURE_MM) -> Histories:
     """Deformation, deflection, curvature (of the circle over +-curvature_mm) and speed over time."""
     time, x = curves.time_ms, curves.x_mm
     height = smooth(curves.height_mm)
-    rest = _nanmean(height[time <= time[0] + REST_MS])
+    rest = nanmean(height[time <= time[0] + REST_MS])
     deformation = rest - height
     apex = _band(deformation, x, 0.0, APEX_MM)
     middle, half = 0.5 * (SIDE_MM[0] + SIDE_MM[1]), 0.5 * (SIDE_MM[1] - SIDE_MM[0])
     sides = np.stack([_band(deformation, x, side * middle, half) for side in (-1, 1)])
-    whole = _nanmean(sides)
+    whole = nanmean(sides)
     return Histories(
         time,
         x,
@@ -198,7 +198,7 @@ def respond(
         found[f"da_ratio_{mm}mm"] = _ratio(h, mm, ratio_from, hc)
     if a1 is not None and a2 is not None:
         grid = np.arange(np.ceil((a1 - time[0]) / frame_interval_ms), np.floor((a2 - time[0]) / frame_interval_ms) + 1)
-        wide = np.array([circle_curvature(x, one, inverse_mm) for one in h.height_mm])
+        wide = circles(x, h.height_mm, inverse_mm)[0]
         inverse = -moving(time, wide, time[0] + frame_interval_ms * grid, SHAPE_MS, 1)
         found["integrated_inverse_radius_per_mm"] = float(np.clip(inverse, 0.0, None).sum())
         found["max_inverse_radius_per_mm"] = float(inverse.max())
@@ -267,11 +267,6 @@ def moving(
     return fit[:, derivative, 0] / width**derivative
 
 
-def circle_curvature(x: np.ndarray, height: np.ndarray, half_mm: float = CURVATURE_MM) -> float:
-    """Curvature [1/mm] of the circle through the central +-half_mm by least squares, convex positive; NaN with gaps."""
-    return circle(x, height, half_mm)[0]
-
-
 def circle(x: np.ndarray, height: np.ndarray, reach: float) -> tuple[float, float]:
     """Curvature [1/mm], convex positive, of the circle through |x| <= reach by least squares, and the rms distance of
     the heights from it [mm]; NaN with gaps."""
@@ -320,14 +315,8 @@ def _rest_thickness(curves: Curves) -> float:
     return 1e3 * float(rest.mean()) if len(rest) else np.nan
 
 
-def _nanmean(values: np.ndarray) -> np.ndarray:
-    good = np.isfinite(values)
-    count = good.sum(axis=0)
-    return np.where(count > 0, np.where(good, values, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
-
-
 def _band(values: np.ndarray, x: np.ndarray, centre: float, half: float) -> np.ndarray:
-    return _nanmean(values[:, np.abs(x - centre) <= half + 1e-9].T)
+    return nanmean(values[:, np.abs(x - centre) <= half + 1e-9].T)
 
 
 def _top(time: np.ndarray, values: np.ndarray, half_width: float) -> tuple[float, float]:
@@ -381,7 +370,7 @@ def _zone(h: Histories, at: float, name: str) -> dict[str, float]:
         if hasattr(np, "trapezoid")
         else np.trapz(_curve_at(h, h.deflection_mm, at)[zone], x)
     )
-    rest = _nanmean(h.height_mm[h.time_ms <= h.time_ms[0] + REST_MS])[zone]
+    rest = nanmean(h.height_mm[h.time_ms <= h.time_ms[0] + REST_MS])[zone]
     arc = [np.hypot(np.diff(x), np.diff(z)).sum() for z in (_curve_at(h, h.height_mm, at)[zone], rest)]
     return {f"{name}_deflection_area_mm2": area, f"{name}_delta_arc_length_mm": arc[0] - arc[1]}
 

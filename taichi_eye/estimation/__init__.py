@@ -9,6 +9,7 @@ motion        runs of the cheap models and of the full one
 landmarks     what the search begins with
 fit           the most likely eye, its covariance, the profile of its pressure
 calibration   an instrument's puff over many eyes
+bounds        what no estimate can beat
 estimate      all that is reported of one eye
 words, pictures, command     the report, its pictures, the command line
 """

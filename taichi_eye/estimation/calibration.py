@@ -5,29 +5,29 @@ two, its other unknowns let go, is a mean and an inverse covariance. The eyes' s
 is the instrument's. What the model gets wrong is the same for all eyes of one model: that part of a covariance does
 not fall with their number, and the mean of it over the eyes is added to the sum of the rest.
 
-A single eye estimated with the calibration is the same problem with another mean and precision of two unknowns; where
-the eye took part in the calibration, `held_out` gives the one of all the others.
+A single eye estimated with the calibration is the same problem with another mean and precision of two unknowns
+(`updated` says to first order what it comes to); where the eye took part in the calibration, `held_out` gives the one
+of all the others.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from taichi_eye.errors import SceneError
-from taichi_eye.estimation.fit import SD_68, SD_95, Problem, Solution
-from taichi_eye.estimation.unknowns import PUFF, UNKNOWNS, WIDTH, Known
+from taichi_eye.estimation.fit import Problem, Solution
+from taichi_eye.estimation.unknowns import PUFF, UNKNOWNS, WIDTH, Known, own_values
 from taichi_eye.report.folder import write_text
 from taichi_eye.scene import Scene
 from taichi_eye.scene.table import read_text
 
 SHARED = PUFF, WIDTH
 WIDE = 0.15  # relative standard deviation that each eye is solved with
-MODEL = ("cornea", "chamber", "puff")  # sections that make a scene another model
 
 
 @dataclass(frozen=True)
@@ -105,6 +105,14 @@ def puff_of(scene: Scene) -> dict:
     return {name: value for name, value in scene.values().items() if name.startswith("puff.")}
 
 
+def wide(scene: Scene, known: Collection[str]) -> dict[str, Known]:
+    """What each eye of a calibration is told of the puff: next to nothing. SceneError where it is known already."""
+    for name in SHARED:
+        if name in known:
+            raise SceneError(f"known {name}: is what is calibrated; leave it out")
+    return {name: Known(1.0, WIDE) for name in SHARED if name in own_values(scene)}
+
+
 def told(problem: Problem, solution: Solution) -> Told:
     """What an eye solved with a nearly unknown puff tells of it."""
     names = problem.before.names
@@ -116,20 +124,14 @@ def told(problem: Problem, solution: Solution) -> Told:
     for covariance in (solution.covariance, alone):
         values, vectors = np.linalg.eigh(np.linalg.inv(covariance[np.ix_(places, places)]) - wide)
         parts.append((vectors * np.maximum(values, 1e-6)) @ vectors.T)
-    information = parts[0]
-    inverse = np.linalg.inv(covariance_of(solution, places))
-    mean = np.linalg.solve(information, inverse @ solution.place[places] - wide @ mean_before)
+    inverse = np.linalg.inv(solution.covariance[np.ix_(places, places)])
+    mean = np.linalg.solve(parts[0], inverse @ solution.place[places] - wide @ mean_before)
     return Told(problem.seen.name, mean, np.linalg.inv(parts[0]), np.linalg.inv(parts[1]))
-
-
-def covariance_of(solution: Solution, places: Sequence[int]) -> np.ndarray:
-    """The block of a solution's covariance."""
-    return solution.covariance[np.ix_(places, places)]
 
 
 def combined(scene: Scene, eyes: Sequence[Told]) -> Calibration:
     """The instrument of these eyes."""
-    names = tuple(name for name in SHARED if name != PUFF or scene.puff.time_course != "file")
+    names = tuple(name for name in SHARED if name in own_values(scene))
     any_instrument = np.diag([UNKNOWNS[name].spread ** -2 for name in names])
     common = np.mean([eye.covariance - eye.noise_alone for eye in eyes], axis=0) if eyes else 0.0
     values, vectors = np.linalg.eigh(np.atleast_2d(common))
@@ -147,23 +149,6 @@ def combined(scene: Scene, eyes: Sequence[Told]) -> Calibration:
 def held_out(scene: Scene, eyes: Sequence[Told]) -> list[Calibration]:
     """For each eye the instrument of all the others."""
     return [combined(scene, [*eyes[:k], *eyes[k + 1 :]]) for k in range(len(eyes))]
-
-
-def recalibrated(found, calibration: Calibration):
-    """An estimate made with a nearly unknown puff, to first order as the calibration would have it."""
-    problem, solution = found.problem, found.solution
-    place, covariance = updated(problem, solution, calibration)
-    known, deviations, quantities = calibration.known(), np.sqrt(np.diag(covariance)), []
-    for quantity in found.quantities:
-        j = problem.before.names.index(quantity.name)
-        value, width = np.exp(place[j]), deviations[j]
-        ranges = [tuple(float(v) for v in value * np.exp(n * width * np.array([-1.0, 1.0]))) for n in (SD_68, SD_95)]
-        half = 0.5 * (ranges[0][1] - ranges[0][0])
-        before = known.get(quantity.name, quantity.before)
-        quantities.append(
-            replace(quantity, value=float(value), deviation=half, range68=ranges[0], range95=ranges[1], before=before)
-        )
-    return replace(found, quantities=tuple(quantities))
 
 
 def updated(problem: Problem, solution: Solution, calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:

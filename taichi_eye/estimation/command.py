@@ -1,16 +1,18 @@
-"""The command line of `estimate DATA`, `calibrate DATA...` and `estimates SCENE`: arguments, output."""
+"""The command line of `estimate DATA` and `calibrate DATA...`: arguments, output."""
 
 from __future__ import annotations
 
 import argparse
 import csv
 import json
+import math
 import re
+import time
 from pathlib import Path
 
 from taichi_eye import backend
 from taichi_eye.errors import NoEstimate, SceneError
-from taichi_eye.options import count, positive, refuse_unwritable, take
+from taichi_eye.options import positive, refuse_unwritable, take
 
 NAME_MAX = 100  # letters of the data's name in the folder's
 
@@ -59,42 +61,6 @@ def add(commands) -> None:
     _add_model(calibrate)
     calibrate.add_argument("--json", metavar="FILE", required=True, help="where the calibration goes")
     calibrate.set_defaults(do=_calibrate)
-
-
-def add_study(add) -> None:
-    """The parser of `estimates`; add(name, help, **settings): makes one."""
-    study = add(
-        "estimates",
-        "put the estimate to eyes whose pressure is known",
-        description="Estimates of made eyes of a scene: how far off, and whether their intervals hold the truth; by "
-        "traces, by films, with a wrong puff, by other models. Writes one table and one page; 40 eyes take two hours.",
-        parts=_parts,
-        examples=("taichi-eye check estimates corvis_healthy --only alone --eyes 8",),
-    )
-    take(study, "scene", "set", "only")
-    study.add_argument("--eyes", type=count("eyes", 10000), default=40, metavar="N", help="eyes of a part (40)")
-    study.add_argument("--seed", type=int, default=14, metavar="N", help="of the eyes and their noise (14)")
-    take(study, "json", "out", "threads")
-    study.set_defaults(do=_study)
-
-
-def _parts():
-    from taichi_eye.proof import estimates
-
-    return estimates.PARTS
-
-
-def _study(given) -> int:
-    from taichi_eye.proof import estimates
-    from taichi_eye.scene import load_scene
-
-    unknown = [name for name in given.only if name not in estimates.PARTS]
-    if unknown:
-        raise SceneError(f"--only {unknown[0]}: estimates has {', '.join(estimates.PARTS)}")
-    scene = load_scene(given.scene, given.overrides)
-    refuse_unwritable(given.json)
-    backend.init("cpu", "f64", given.threads)
-    return 0 if estimates.report(scene, given.only, given.eyes, given.seed, given.out, given.json) else 1
 
 
 def _add_model(command) -> None:
@@ -203,6 +169,8 @@ def _estimate(given) -> int:
     path = Path(given.data)
     known = known_of(given.known)
     free = tuple(name.strip() for name in given.free.split(",")) if given.free else estimates.FREE
+    if given.calibrate_rows and given.instrument:
+        raise SceneError("--calibrate-rows: calibrates by the rows themselves; leave out --instrument")
     refuse_unwritable(given.json)
     refuse_taken(given.out)
     scene = _scene(given, path)
@@ -215,48 +183,52 @@ def _estimate(given) -> int:
         seen, rows = [seen[given.row - 1]], [rows[given.row - 1]]
     if given.calibrate_rows and (rows is None or len(rows) < 3):
         raise SceneError("--calibrate-rows: needs a table of at least three rows")
+    wide = instruments.wide(scene, known) if given.calibrate_rows else {}
     many = rows is not None and len(rows) > 1
     with tqdm(total=len(seen), unit=" eyes", disable=given.quiet, dynamic_ncols=True, leave=False) as bar:
 
-        def one(observation, wide=False):
-            told = dict(known)
-            if wide:
-                told |= {n: (1.0, instruments.WIDE) for n in instruments.SHARED if n not in known}
+        def one(observation, known, instrument):
+            """The estimate of an eye, or what refuses one of many."""
             problem = estimates.problem_of(
                 observation,
                 scene,
-                told,
+                known,
                 free,
                 given.age_years,
                 given.model_error_um,
                 instrument,
                 bar.set_description_str,
             )
-            started = estimates.time.perf_counter()
-            solution = estimates.solve(problem, not many)
-            bar.update()
+            started = time.perf_counter()
+            try:
+                solution = estimates.solve(problem, not many)
+            except NoEstimate as refusal:
+                if not many:
+                    raise
+                return refusal
+            finally:
+                bar.update()
             return estimates.finished(problem, solution, started, found.film, () if many else found.notes)
 
-        if not many:
-            result = one(seen[0])
-        else:
-            results = []
-            for observation in seen:
-                try:
-                    results.append(one(observation, given.calibrate_rows))
-                except NoEstimate as refusal:
-                    results.append(refusal)
-                    bar.update()
+        results = [one(observation, known | wide, instrument) for observation in seen]
+        whole = None
+        if given.calibrate_rows:
+            sound = [k for k, result in enumerate(results) if not isinstance(result, NoEstimate)]
+            told = [instruments.told(results[k].problem, results[k].solution) for k in sound]
+            whole = instruments.combined(scene, told)
+            bar.total += len(sound)
+            for k, others in zip(sound, instruments.held_out(scene, told)):
+                results[k] = one(seen[k], known, others)
     folder = create_run_folder(given.out, f"{path.stem[:NAME_MAX]}-estimate")
     if many:
-        content = _report_rows(results, rows, found.notes, scene, given.calibrate_rows, folder)
+        content = _report_rows(results, rows, found.notes, whole, folder)
     else:
         from taichi_eye.estimation import pictures
 
-        for line in words.lines(result):
+        for line in words.lines(results[0]):
             print(line)
-        content = words.as_json(result)
-        pictures.write(result, folder)
+        content = words.as_json(results[0])
+        pictures.write(results[0], folder)
     text = json.dumps(content, indent=2, allow_nan=False) + "\n"
     write_text(folder / "estimate.json", text)
     if given.json:
@@ -265,22 +237,16 @@ def _estimate(given) -> int:
     return 0
 
 
-def _report_rows(results, rows, notes, scene, calibrated: bool, folder: Path) -> dict:
+def _report_rows(results, rows, notes, calibration, folder: Path) -> dict:
     """Print a table's estimates and their agreement with its own pressures; what the JSON file holds."""
-    from taichi_eye.estimation import calibration as instruments
     from taichi_eye.estimation import words
     from taichi_eye.estimation.estimate import Estimate
     from taichi_eye.report.folder import replacing
 
     content: dict = {}
-    if calibrated:
-        sound = [k for k, one in enumerate(results) if isinstance(one, Estimate)]
-        told = [instruments.told(results[k].problem, results[k].solution) for k in sound]
-        whole = instruments.combined(scene, told)
-        print("puff from these rows: " + _calibrated(whole))
-        content["calibration"] = {n: [k.value, k.deviation] for n, k in whole.known().items()}
-        for k, held_out in zip(sound, instruments.held_out(scene, told)):
-            results[k] = instruments.recalibrated(results[k], held_out)
+    if calibration is not None:
+        print("puff from these rows: " + _calibrated(calibration))
+        content["calibration"] = {n: [k.value, k.deviation] for n, k in calibration.known().items()}
     for line in words.table_lines(results, rows):
         print(line)
     for note in notes:
@@ -318,23 +284,20 @@ def _calibrate(given) -> int:
     from taichi_eye.estimation.unknowns import IOP
 
     known = known_of(given.known)
-    for name in instruments.SHARED:
-        if name in known:
-            raise SceneError(f"--known {name}: is what is calibrated; leave it out")
     refuse_unwritable(given.json)
     if len({Path(data).resolve() for data in given.data}) < len(given.data):
         raise SceneError("the same data are named twice; a calibration counts each eye once")
     scene = _scene(given, Path(given.data[0]))
+    wide = instruments.wide(scene, known)
     told, solved = [], []
     with tqdm(total=len(given.data), unit=" files", disable=given.quiet, dynamic_ncols=True, leave=False) as bar:
         for data in given.data:
             found = read(data, scene, given.noise_um, given.age_years, **_instrument(given))
             for seen in found.seen:
-                wide = {name: (1.0, instruments.WIDE) for name in instruments.SHARED}
                 problem = estimates.problem_of(
                     seen,
                     scene,
-                    {**wide, **known},
+                    known | wide,
                     estimates.FREE,
                     given.age_years,
                     given.model_error_um,
@@ -360,7 +323,7 @@ def _calibrate(given) -> int:
         for instrument in (anybody, calibration):
             place, covariance = instruments.updated(problem, solution, instrument)
             k = problem.before.names.index(IOP)
-            iop = float(estimates.np.exp(place[k]))
+            iop = math.exp(place[k])
             cells.append(f"{iop:.2f} +- {iop * covariance[k, k] ** 0.5:.2f}")
         print(f"{problem.seen.name[:30]:32}{cells[0]:>28}{cells[1]:>18}")
     print(f"{calibration.eyes} eyes: {_calibrated(calibration)} (any instrument: {_calibrated(anybody)})")

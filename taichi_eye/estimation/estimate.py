@@ -1,7 +1,7 @@
 """`estimate`: from what was measured of an eye to its pressure, its tissue, and how well they are known.
 
     import taichi_eye
-    found = taichi_eye.estimate("film.mp4", taichi_eye.load_scene("configs/corvis_healthy.toml"))
+    found = taichi_eye.estimate("film.mp4", taichi_eye.load_scene("corvis_healthy"))
     found["iop_mmhg"].value, found["iop_mmhg"].range95
 
 What is fitted, and with what, is told in `taichi_eye.estimation.fit`; what may be unknown in `unknowns`; what the model
@@ -26,7 +26,7 @@ from taichi_eye.estimation.calibration import Calibration
 from taichi_eye.estimation.fit import SD_68, SD_95, Problem, Solution, interval, on_bound, profiled, solve, solve_many
 from taichi_eye.estimation.observation import Observation
 from taichi_eye.estimation.reading import read, run_scene_of
-from taichi_eye.estimation.unknowns import IOP, UNKNOWNS, Known, beforehand
+from taichi_eye.estimation.unknowns import IOP, UNKNOWNS, Known, beforehand, own_values
 from taichi_eye.scene import Scene
 
 FREE = tuple(name for name, unknown in UNKNOWNS.items() if unknown.tissue)
@@ -79,7 +79,6 @@ class Estimate:
 
     name: str
     seen: Observation
-    base: Scene
     quantities: tuple[Quantity, ...]
     held: dict[str, float]
     chi2: float
@@ -193,7 +192,7 @@ def problem_of(
         calibrated = {name: value for name, value in calibration.known().items() if name not in given}
         told |= calibrated
         joint = calibration.joint(tuple(calibrated)) if calibrated else None
-    own = set(beforehand(scene, {}, retreats=True).names)
+    own = own_values(scene)
     from_scene = {name: value for name, value in from_scene.items() if name in own}
     before = beforehand(scene, {**told, **from_scene, **given}, age_years, seen.retreats, joint)
     model = errors.NONE
@@ -244,7 +243,6 @@ def finished(problem: Problem, solution: Solution, started: float, film: Analysi
     return Estimate(
         name=seen.name,
         seen=seen,
-        base=before.base,
         quantities=tuple(quantities[j] for j in order),
         held=dict(before.held),
         chi2=solution.chi2,
@@ -297,7 +295,7 @@ def _costs(problem: Problem, solution: Solution, iop: float, k: int) -> tuple[Co
             continue
         others = [i for i in range(len(before.names)) if i != j]
         exact = _deviation((data + before.precision)[np.ix_(others, others)], iop, others.index(k))
-        found.append(Cost(name, exact, declared, _deviation(data + before.without(name, np.inf), iop, k)))
+        found.append(Cost(name, exact, declared, _deviation(data + before.without(name), iop, k)))
     return tuple(found)
 
 

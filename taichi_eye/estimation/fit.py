@@ -100,17 +100,19 @@ class Problem:
         values, vectors = np.linalg.eigh(self.before.precision)
         self._steps = np.full(len(self.before.names), STEPS[0])
         self._prior = np.sqrt(np.clip(values, 0.0, None))[:, None] * vectors.T
-        self._noise = self.seen.noise()
+        self._noise, self._wrong, cheap_wrong = (
+            self.seen.noise(),
+            self.seen.model_error(self.model),
+            self.seen.model_error(CAVITY),
+        )
+        self._cheap_wrong = cheap_wrong + np.diag(np.diag(cheap_wrong))
         self.climb("membrane" if self.before.base.numerics.fidelity == "membrane" else "cavity")
         self.widen(1.0)
 
     def widen(self, factor: float, cavity: float = 0.0) -> None:
         """Take the model error so many times as large, and that of the cheap model besides."""
         self.factor, self.left_out = factor, cavity
-        self.covariance = self._noise + self.seen.model_error(self.model.times(factor))
-        if cavity:
-            smooth = self.seen.model_error(CAVITY.times(cavity))
-            self.covariance = self.covariance + smooth + np.diag(np.diag(smooth))
+        self.covariance = self._noise + factor**2 * self._wrong + cavity**2 * self._cheap_wrong
         self.lower = np.linalg.cholesky(self.covariance)
 
     def climb(self, rung: str) -> None:
@@ -191,11 +193,12 @@ class Problem:
 
     def sums(self, place: np.ndarray, factor: float) -> float:
         """The sum of squares at a place with a model error so many times as large."""
-        was = self.factor
-        self.widen(factor, self.left_out)
-        cost = self.cost(place)
-        self.widen(was, self.left_out)
-        return cost
+        off = self.predict(place) + self.defect.at(place) - self.seen.values
+        if not np.isfinite(off).all():
+            return np.inf
+        known = self._prior @ (place - self.before.mean)
+        covariance = self.covariance + (factor**2 - self.factor**2) * self._wrong
+        return float(off @ cho_solve(cho_factor(covariance, lower=True), off) + known @ known)
 
 
 @dataclass(frozen=True, eq=False)

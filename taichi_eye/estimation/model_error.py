@@ -45,11 +45,6 @@ class ModelError:
     parameters: Mapping[str, float]
     share: float
 
-    def times(self, factor: float) -> ModelError:
-        """A larger one."""
-        parameters = {name: factor * value for name, value in self.parameters.items()}
-        return ModelError(factor * self.history_mm, parameters, factor * self.share)
-
     def of(self, name: str, value: float) -> float:
         """The error of a parameter."""
         return self.parameters.get(name, self.share * abs(value))

@@ -39,13 +39,12 @@ RUN_COLUMNS = set(COLUMNS) - {"time_ms", "apex_displacement_mm"}
 
 @dataclass(frozen=True)
 class Found:
-    """What a path holds. seen: one observation, or one a row; rows: the table's; film: the reading of a film; scene:
-    that of a run; notes: what was mended or left out."""
+    """What a path holds. seen: one observation, or one a row; rows: the table's; film: the reading of a film;
+    notes: what was mended or left out."""
 
     seen: list[Observation]
     rows: list[Row] | None = None
     film: Analysis | None = None
-    scene: Scene | None = None
     notes: tuple[str, ...] = ()
 
 

@@ -98,11 +98,10 @@ class Beforehand:
         """The eye at a place."""
         return scene_with(self.base, self.values(place))
 
-    def without(self, name: str, deviation: float) -> np.ndarray:
-        """The precision, were one unknown known to another relative standard deviation and to no other's."""
+    def without(self, name: str) -> np.ndarray:
+        """The precision, were nothing known of one unknown."""
         k, changed = self.names.index(name), self.precision.copy()
         changed[k, :] = changed[:, k] = 0.0
-        changed[k, k] = 1.0 / deviation**2 if np.isfinite(deviation) else 0.0
         return changed
 
 

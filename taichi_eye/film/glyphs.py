@@ -40,6 +40,12 @@ class GlyphAtlas:
         return np.concatenate([self.glyphs[character] for character in text], axis=1)
 
 
+@cache
+def glyph_atlas(size_px: int, bold: bool = False) -> GlyphAtlas:
+    """The atlas of a size, rasterised once."""
+    return GlyphAtlas(size_px, bold)
+
+
 def stamp(image: np.ndarray, mask: np.ndarray, row: int, column: int, colour) -> None:
     """Blend `mask` into `image` ([H, W] or [H, W, 3], uint8) in place, its top left corner at (row, column);
     what falls outside the image is cut off. `colour` is a grey level or three of them."""

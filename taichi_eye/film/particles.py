@@ -24,7 +24,7 @@ from taichi_eye.lang import ti
 from taichi_eye.solver.workspace import capacity
 from taichi_eye.units import KPA, MM, MMHG, MS
 
-from .glyphs import GlyphAtlas, font, stamp
+from .glyphs import font, glyph_atlas, stamp
 from .state import FrameState
 from .strips import Strips
 from .surface import Surface
@@ -112,8 +112,8 @@ class Particles:
         self.left, self.top, self.right, self.bottom = at.plot
         self.marker = 4.4 * at.unit
         self.radii = np.arange(self.surface.count) * self.surface.spacing
-        self.big = GlyphAtlas(max(8, round(21 * at.unit)))
-        self.small = GlyphAtlas(max(7, round(13 * at.unit)), bold=True)
+        self.big = glyph_atlas(max(8, round(21 * at.unit)))
+        self.small = glyph_atlas(max(7, round(13 * at.unit)), bold=True)
         self.limits, self.ranges, self.peak_kpa = colour_limits(scene), plot_ranges(scene), peak_load_kpa(scene)
         self.puff_profile = eye_of(scene).puff.radial(self.radii)
         spacing_px = scene.numerics.spacing_mm * at.scale

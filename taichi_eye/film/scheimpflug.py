@@ -24,7 +24,7 @@ from taichi_eye.backend import real
 from taichi_eye.lang import ti
 from taichi_eye.solver.workspace import capacity
 
-from .glyphs import GlyphAtlas, stamp
+from .glyphs import glyph_atlas, stamp
 from .noise import gaussian_table, hash_u32, noise_key
 from .state import FrameState
 from .strips import Strips
@@ -97,7 +97,7 @@ class Scheimpflug:
         self.seed, self.interval_ms = camera.seed, camera.frame_interval_ms
         self.height, self.width = camera.height_px, camera.width_px
         self.apex_column, self.plain, self.specks = camera.apex_column_px, camera.optics == "plain", camera.specks
-        self.atlas = GlyphAtlas(max(8, round(0.065 * self.height))) if camera.stamp else None
+        self.atlas = glyph_atlas(max(8, round(0.065 * self.height))) if camera.stamp else None
         numbers = {
             PIXEL_X: camera.pixel_x_mm * 1e-3,
             PIXEL_Y: camera.pixel_y_mm * 1e-3,

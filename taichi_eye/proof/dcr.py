@@ -20,12 +20,13 @@ from typing import Any
 
 from tqdm import tqdm
 
+from taichi_eye import backend
 from taichi_eye.analysis.norms import NORMS, judged_by, z_scores
 from taichi_eye.analysis.response import Response
-from taichi_eye.analysis.simulated import Reading, response_of
+from taichi_eye.analysis.simulated import Reading, observe_many, response_of
 from taichi_eye.errors import SceneError
 from taichi_eye.proof import clinic, public, windows
-from taichi_eye.proof.population import SimulatedEye, crossed, simulate, slopes
+from taichi_eye.proof.population import SimulatedEye, crossed, simulate_many, slopes
 from taichi_eye.report.folder import create_run_folder, write_text
 from taichi_eye.scene import Scene, load_scene
 from taichi_eye.scene.schema import AUTO, all_keys
@@ -172,6 +173,12 @@ def slopes_of(eyes: list[SimulatedEye]) -> list[Slope]:
     return found
 
 
+def _parcels(items: list) -> list[list]:
+    """As many at once as threads run side by side."""
+    size = backend.threads()
+    return [items[k : k + size] for k in range(0, len(items), size)]
+
+
 def study(
     scene: Scene,
     name: str = "scene",
@@ -185,14 +192,15 @@ def study(
     switched, asked = switches_of(scene), crossed(scene)
     own_place = scene.eye.iop_mmhg, 1e3 * scene.cornea.thickness_mm
     total, eyes = len(asked) + len(switched) + 2, []
-    for count, (iop, thickness) in enumerate(asked):
-        tell(f"{iop:g} mmHg, {thickness:.0f} um", count, total)
-        eyes.append(simulate(scene, iop, thickness))
+    for parcel in _parcels(asked):
+        tell(f"{parcel[0][0]:g} mmHg, {parcel[0][1]:.0f} um", len(eyes), total)
+        eyes += simulate_many(scene, parcel)
     own = eyes[asked.index(own_place)]
     readings = {"scene": Reading(own.response, own.stopped)}
-    for count, (what, changes) in enumerate(switched.items()):
-        tell(f"without {what}", len(asked) + count, total)
-        readings[what] = response_of(scene.but(changes))
+    for parcel in _parcels(list(switched)):
+        tell(f"without {parcel[0]}", len(asked) + len(readings) - 1, total)
+        observed = observe_many([scene.but(switched[what]) for what in parcel])
+        readings |= {what: found.read() for what, found in zip(parcel, observed)}
     tell("public tables", total - 2, total)
     line = public.sweep(scene, [eye for eye in eyes if eye.thickness_um == own.thickness_um])
     donors, stiffened = public.donors(scene), public.stiffened(scene, own)

@@ -31,7 +31,7 @@ from matplotlib.figure import Figure
 
 from taichi_eye.bench import bench
 from taichi_eye.bench.rows import Row, at_least, at_most, figure
-from taichi_eye.errors import FilmError, SceneError
+from taichi_eye.errors import FilmError, RunStopped, SceneError
 from taichi_eye.estimation import model_error
 from taichi_eye.estimation.bounds import FRAMES, INTERVAL_MS, at_truth
 from taichi_eye.estimation.estimate import Estimate, estimate, estimate_many, problem_of
@@ -180,7 +180,7 @@ def _solved(eyes: Sequence[Made], problems: Sequence[Problem], stage) -> Outcome
     return outcome([eye.truth[IOP] for eye in eyes], found, bounds)
 
 
-def _rows(what: str, found: Outcome, rms: float | None, over_bound: float | None) -> list[Row]:
+def _rows(found: Outcome, rms: float | None, over_bound: float | None) -> list[Row]:
     note = f"median claimed SD {np.nanmedian(found.deviation):.2g} mmHg, mean error {found.off.mean():+.2g} mmHg"
     rows = [
         at_most("RMS of the IOP", found.rms, "mmHg", rms, note)
@@ -206,7 +206,7 @@ def _alone(scene, count, seed, stage):
         for k, eye in enumerate(eyes)
     ]
     found = _solved(eyes, problems, stage)
-    return _rows("alone", found, 0.2, None), [_draw("IOP alone", found)]
+    return _rows(found, 0.2, None), [_draw("IOP alone", found)]
 
 
 def _tissue(scene, count, seed, stage):
@@ -217,7 +217,7 @@ def _tissue(scene, count, seed, stage):
         for k, eye in enumerate(eyes)
     ]
     found = _solved(eyes, problems, stage)
-    return _rows("tissue", found, 0.4, 1.5), [_draw("IOP and tissue", found)]
+    return _rows(found, 0.4, 1.5), [_draw("IOP and tissue", found)]
 
 
 def _puff(scene, count, seed, stage):
@@ -239,7 +239,7 @@ def _puff(scene, count, seed, stage):
         }
         problems.append(problem_of(eye.trace(f"eye {number}", chance), scene, known, model_error_um=0.0))
     found = _solved(eyes, problems, stage)
-    return _rows("puff", found, None, 1.3), [_draw("puff and thickness declared", found)]
+    return _rows(found, None, 1.3), [_draw("puff and thickness declared", found)]
 
 
 def _films(scene, count, seed, stage):
@@ -256,9 +256,7 @@ def _films(scene, count, seed, stage):
                 stage(f"film {len(truths) + 1} of {count}")
                 eye = scene_with(filmed, truth).but({"camera.seed": seed + tried})
                 run(eye, Path(folder) / f"eye{tried}", progress=False)
-            except Exception as problem:
-                if not isinstance(problem, SceneError) and type(problem).__name__ != "RunStopped":
-                    raise
+            except (SceneError, RunStopped):
                 continue
             truths.append(truth[IOP])
             film = Path(folder) / f"eye{tried}.mp4"

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taichi_eye.analysis.response import Response
-from taichi_eye.analysis.simulated import Observed, observe
+from taichi_eye.analysis.simulated import Observed, observe, observe_many
 from taichi_eye.scene import Scene
 from taichi_eye.scene.variant import eye_at
 
@@ -40,6 +40,15 @@ def simulate(scene: Scene, iop_mmhg: float, thickness_um: float) -> SimulatedEye
     observed = observe(eye_at(scene, iop_mmhg, thickness_um))
     reading = observed.read()
     return SimulatedEye(iop_mmhg, thickness_um, observed, reading.response, reading.stopped)
+
+
+def simulate_many(scene: Scene, places: Sequence[tuple[float, float]]) -> list[SimulatedEye]:
+    """The same at several pressures and thicknesses, those of the full model side by side."""
+    found = []
+    for (iop, thickness), observed in zip(places, observe_many([eye_at(scene, *place) for place in places])):
+        reading = observed.read()
+        found.append(SimulatedEye(iop, thickness, observed, reading.response, reading.stopped))
+    return found
 
 
 def crossed(scene: Scene) -> list[tuple[float, float]]:

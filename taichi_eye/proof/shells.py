@@ -4,10 +4,12 @@ import numpy as np
 from scipy.special import jn_zeros
 
 from taichi_eye.eye import jet
+from taichi_eye.eye.eye import REFERENCE_IOP
 from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.proof.comparison import Comparison, order, relative
 from taichi_eye.proof.membranes import Membrane, dry_frequencies
 from taichi_eye.solver.globe import Globe
+from taichi_eye.units import MM3, MMHG
 
 RADIUS, THICKNESS, DENSITY = 6e-3, 0.55e-3, 1050.0
 SHEAR = 9.4e3  # kappa G [Pa], 5/6 of 11.3 kPa
@@ -169,7 +171,7 @@ def friedenwald(quick: bool = False):
     V = C P0 ln(1 + p/P0); the work of filling, the integral of p dV = C P0 (p - P0 ln(1 + p/P0)), is what it stores.
     P0 15 mmHg, C 0.33 mm^3/mmHg, p = 2 P0: 5.44 mm^3 and 8.92 uJ. The work is summed by the trapezoidal rule.
     """
-    rest, compliance = 15.0 * 133.322387415, 0.33e-9 / 133.322387415
+    rest, compliance = REFERENCE_IOP, 0.33 * MM3 / MMHG
     pressure, full = 2.0 * rest, compliance * rest
     volume, energy = full * np.log(3.0), full * (pressure - rest * np.log(3.0))
     filling, grids, work = _Filling(), (16, 32, 64), []

@@ -12,6 +12,7 @@ import json
 import math
 import numbers
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -138,16 +139,17 @@ def hint_section(section: str, name: str) -> str:
     owners = [s for s in SECTIONS if name in keys_of(s)]
     if owners:
         return f"; {name} is a key of {' and '.join(f'[{s}]' for s in owners)}"
-    return f"{_nearest(section, list(SECTIONS))} (sections: {', '.join(SECTIONS)})"
+    return f"{nearest(section, list(SECTIONS))} (sections: {', '.join(SECTIONS)})"
 
 
 def _hint_key(section: str, name: str) -> str:
     owners = [s for s in SECTIONS if name in keys_of(s)]
     if owners:
         return f"; it is a key of {' and '.join(f'[{s}]' for s in owners)}"
-    return f"{_nearest(name, list(keys_of(section)))} (keys of [{section}]: {', '.join(keys_of(section))})"
+    return f"{nearest(name, list(keys_of(section)))} (keys of [{section}]: {', '.join(keys_of(section))})"
 
 
-def _nearest(name: str, names: list[str]) -> str:
+def nearest(name: str, names: Sequence[str]) -> str:
+    """A hint at which of the names may have been meant, or nothing."""
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     return f"; did you mean {close[0]}?" if close else ""

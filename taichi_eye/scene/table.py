@@ -19,13 +19,14 @@ from pathlib import Path
 import numpy as np
 
 from taichi_eye.errors import SceneError
+from taichi_eye.units import KPA, MMHG
 
 DELIMITERS = ";\t,"
 # each unit in the unit that its quantity is wanted in
 UNITS = {
     "ms": {"ms": 1.0, "us": 1e-3, "\N{MICRO SIGN}s": 1e-3, "\N{GREEK SMALL LETTER MU}s": 1e-3, "s": 1e3},
     "mm": {"mm": 1.0, "um": 1e-3, "\N{MICRO SIGN}m": 1e-3, "\N{GREEK SMALL LETTER MU}m": 1e-3, "m": 1e3},
-    "kpa": {"kpa": 1.0, "pa": 1e-3, "mmhg": 0.133322387415},
+    "kpa": {"kpa": 1.0, "pa": 1e-3, "mmhg": MMHG / KPA},
 }
 _UNIT = re.compile(r"(?:[\s_]+|\s*[\[(/]\s*)([^\W\d_]+)\s*[\])]?$")
 

@@ -490,11 +490,7 @@ class Aqueous:
             stiffness = self.density0[eye] * self.mean_speed[eye] ** 2
             followed = self.globe.followed(eye, dt)
             held = (1.0 - followed) * self.globe.taken_up[eye]
-            missing = stiffness * ((self.rest_volume[eye] - held) / volume - 1.0)
-            if ti.math.isinf(self.globe.rest_pressure[eye]):
-                mean = missing / (1.0 + stiffness * followed * self.globe.compliance[eye] / volume)
-            else:
-                mean = self.globe.pressure_for(eye, followed, volume / stiffness, missing * volume / stiffness)
+            mean = self.globe.pressure_for(eye, followed, volume / stiffness, self.rest_volume[eye] - held - volume)
             self.globe.take_up(eye, followed, mean)
             coming = self.density0[eye] * self.sound_speed[eye] ** 2 * (self.last_volume[eye] / volume - 1.0)
         self.last_volume[eye] = volume

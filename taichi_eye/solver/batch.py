@@ -15,6 +15,7 @@ does at a sample it does for all eyes at once, on arrays.
 import ast
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -45,6 +46,21 @@ class Outcome:
     scene: Scene
     traces: dict[str, np.ndarray]
     stop: RunStopped | None
+
+
+class _Walls:
+    """Places and net excess pressures of all nodes at a sample, copied from the fields once, when first asked for."""
+
+    def __init__(self, cornea, aqueous):
+        self._cornea, self._aqueous = cornea, aqueous
+
+    @cached_property
+    def place(self) -> np.ndarray:
+        return self._cornea.place.to_numpy()
+
+    @cached_property
+    def excess(self) -> np.ndarray:
+        return self._aqueous.pressure.to_numpy() - self._cornea.air_pressure.to_numpy()
 
 
 class Batch:
@@ -95,6 +111,7 @@ class Batch:
         self.sampler.take(self._eyes, np.zeros(eyes, dtype=int), self._dt, self._dt, np.zeros((eyes, 1)))
         self._history[0] = self.sampler.rows[:eyes]
         self._restored = False
+        self._foldings: dict[int, Folding] = {}
         self._refuse_ill_stencils()
 
     def _place_at_rest(self, number: int) -> None:
@@ -200,6 +217,7 @@ class Batch:
         eyes, rows = self._eyes, self._history[self.sample]
         calm = self._guard.where_calm(rows, self.sample % self._per_frame == 0)
         if not calm.all():
+            walls = _Walls(self.cornea, self.aqueous)
             for eye in eyes[~calm[eyes]]:
                 self.stops[eye] = self._guard.stop_of(
                     eye,
@@ -207,7 +225,7 @@ class Batch:
                     rows[eye],
                     radius_mm=lambda node, eye=eye: self._radius_mm(eye, node),
                     time_ms=float(self.sample * self.sample_ms[eye]),
-                    lobes=self._lobes(eye, rows[eye]),
+                    lobes=self._lobes(eye, rows[eye], walls),
                 )
                 self._going[eye] = self.stops[eye] is None
             eyes = eyes[self._going[eyes]]
@@ -220,15 +238,16 @@ class Batch:
             self.survey.remember_build(due)
             self.rebuilds += due
 
-    def _lobes(self, number: int, row: np.ndarray) -> int | None:
+    def _lobes(self, number: int, row: np.ndarray, walls: "_Walls") -> int | None:
         """The lobes into which a shell folds now, asked at film frames once it is compressed enough."""
         eye = self.cases[number].eye
         if self.sample % self._per_frame[number] or not self._guard.may_fold(number, row):
             return None
-        wall = slice(self.first[number], self.first[number] + self.clouds[number].wall_count)
-        inside, air = (field.to_numpy()[wall] for field in (self.aqueous.pressure, self.cornea.air_pressure))
-        nodes = eye.section.cornea_nodes(self.clouds[number].wall_count - 1)
-        return Folding.of(eye, nodes).lobes(self.cornea.place.to_numpy()[wall], eye.iop + inside - air)
+        count = self.clouds[number].wall_count
+        if number not in self._foldings:
+            self._foldings[number] = Folding.of(eye, eye.section.cornea_nodes(count - 1))
+        wall = slice(self.first[number], self.first[number] + count)
+        return self._foldings[number].lobes(walls.place[wall], eye.iop + walls.excess[wall])
 
     def state(self) -> State:
         """All that evolves, at the last sample that was recorded: with it and the scenes, a run can go on elsewhere."""

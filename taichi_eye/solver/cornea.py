@@ -60,6 +60,10 @@ from taichi_eye.eye.laws import LAWS, Law
 from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.solver import rings
 
+# squared frequency of the stiffest discrete wave of tension or shear, which sits at the apex, over speed^2 / L^2: a
+# strip has 4
+STIFFEST_SHEAR = 4.842
+
 
 @ti.data_oriented
 class Cornea:
@@ -95,16 +99,17 @@ class Cornea:
         self.force_solid, self.force_air, self.tension = vector(), vector(), vector()
         self.mass, self.hoop, self.load_shape, self.air_pressure = scalar(), scalar(), scalar(), scalar()
         self.element_length, self.element_radius, self.element_volume = scalar(), scalar(), scalar()
-        self.prestrain, self.rest_angle = scalar(), scalar()
+        self.prestrain, self.rest_angle = scalar(), vector()
         self.flexure = vector()  # of the node at an element's start, and of the element [J]
         self.flexible = ti.field(ti.i32, eyes)
-        self.inclination = vector()  # angle of each element, and its change from rest
+        self.inclination = vector()  # angle of each element and its sine; rest_angle: the same at rest
         self.moment = vector()  # as flexure
         # of transverse shear: stiffness of each element, its gamma, its viscous and its whole derivative by gamma [J]
         self.shear, self.slide, self.overshear, self.shear_torque = (scalar() for _ in range(4))
         self.shear_delay = ti.field(fp, eyes)
         self.curvature, self.narrowing, self.mean_over_ring = jet.text(ti, ti.func)
         self.load_rate, self.dent_feedback = ti.field(fp, eyes), ti.field(fp, eyes)
+        self.ring_edge = scalar()  # radius at rest at which the ring of a node ends [m]
         self.chord, self.chord_share = ti.field(ti.i32, eyes), ti.field(fp, eyes)
         self.stress, self.strain = vector(), vector()
         self.overstress, self.overmoment = vector(), vector()
@@ -213,6 +218,7 @@ class Cornea:
             angle=angle,
             shear=np.asarray(shear_stiffness, dtype=float) * area,
             load_shape=np.asarray(load_shape, dtype=float),
+            ring_edge=jet.ring_edges(nodes[:, 0])[1:],
             coefficients=np.array(coefficients, dtype=float),
             iop=iop,
             share=overstress_share,
@@ -240,6 +246,7 @@ class Cornea:
         angle: ti.types.ndarray(),
         shear: ti.types.ndarray(),
         load_shape: ti.types.ndarray(),
+        ring_edge: ti.types.ndarray(),
         coefficients: ti.types.ndarray(),
         iop: float,
         share: float,
@@ -268,17 +275,17 @@ class Cornea:
                 self.rest[i] = ti.Vector([nodes[n, 0], nodes[n, 1]])
                 self.place[i] = self.rest[i]
                 self.mass[i], self.load_shape[i], self.air_pressure[i] = mass[n], load_shape[n], 0.0
+                self.ring_edge[i] = ring_edge[n]
                 self.velocity[i], self.acceleration[i], self.lost[i] = zero, zero, zero
                 self.force_air[i], self.force_solid[i], self.residual[i] = zero, zero, zero
             for n in range(nodes.shape[0] - 1):
                 k = first + n
                 self.element_length[k], self.element_radius[k] = length[n], radius[n]
                 self.element_volume[k], self.prestrain[k] = volume[n], prestrain[n]
-                self.flexure[k], self.rest_angle[k] = ti.Vector([flexure[n, 0], flexure[n, 1]]), angle[n]
-                self.inclination[k], self.strain[k] = (
-                    ti.Vector([angle[n], 0.0]),
-                    ti.Vector([prestrain[n], prestrain[n]]),
-                )
+                self.flexure[k] = ti.Vector([flexure[n, 0], flexure[n, 1]])
+                self.rest_angle[k] = ti.Vector([angle[n], ti.sin(angle[n])])
+                self.inclination[k] = self.rest_angle[k]
+                self.strain[k] = ti.Vector([prestrain[n], prestrain[n]])
                 zero = ti.Vector([0.0, 0.0])
                 self.moment[k], self.overstress[k], self.overmoment[k] = zero, zero, zero
                 self.shear[k], self.slide[k], self.overshear[k], self.shear_torque[k] = shear[n], 0.0, 0.0, 0.0
@@ -315,13 +322,13 @@ class Cornea:
         if self.flexible[eye] != 0:
             before = ti.Vector([0.0, 0.0])  # turned by: now, and a step ago
             for k in range(first, last):
-                edge, angle = self.place[k + 1] - self.place[k], self.inclination[k]
-                self.inclination[k][0] = ti.atan2(-edge[1], edge[0])
-                self.inclination[k][1] = self.inclination[k][0] - self.rest_angle[k]
-                turned = ti.Vector([self.inclination[k][1], angle[1]])
-                hoop = ti.Vector([ti.sin(self.inclination[k][0]), ti.sin(angle[0])])
-                bend = ti.Vector([turned[0] - before[0], hoop[0] - ti.sin(self.rest_angle[k])])
-                change = ti.Vector([bend[0] - (turned[1] - before[1]), hoop[0] - hoop[1]])
+                edge, old, rest = self.place[k + 1] - self.place[k], self.inclination[k], self.rest_angle[k]
+                angle = ti.atan2(-edge[1], edge[0])
+                now = ti.Vector([angle, ti.sin(angle)])
+                self.inclination[k] = now
+                turned = ti.Vector([now[0] - rest[0], old[0] - rest[0]])
+                bend = ti.Vector([turned[0] - before[0], now[1] - rest[1]])
+                change = ti.Vector([bend[0] - (turned[1] - before[1]), now[1] - old[1]])
                 before = turned
                 over = kept * self.overmoment[k] + gain * self.flexure[k] * change
                 self.relaxed_work[eye] += 0.5 * (over + self.overmoment[k]).dot(change)
@@ -378,8 +385,8 @@ class Cornea:
             before = 0.0
             for k in range(self.first[eye], self.last[eye]):
                 edge = self.place[k + 1] - self.place[k]
-                turned = ti.atan2(-edge[1], edge[0]) - self.rest_angle[k]
-                leant = -edge[1] / edge.norm() - ti.sin(self.rest_angle[k])
+                turned = ti.atan2(-edge[1], edge[0]) - self.rest_angle[k][0]
+                leant = -edge[1] / edge.norm() - self.rest_angle[k][1]
                 energy += 0.5 * (self.flexure[k][0] * (turned - before) ** 2 + self.flexure[k][1] * leant**2)
                 energy += 0.5 * self.shear[k] * ti.tan(turned) ** 2
                 before = turned
@@ -397,13 +404,10 @@ class Cornea:
             narrow = self.narrowing(self.dent_feedback[eye], kappa)
             rate = self.load_rate[eye] * narrow * narrow
             last = self.last[eye]
+            inner = self.rest[first][0]
             for i in range(first, last + 1):
-                inner, outer = self.rest[i][0], self.rest[i][0]
-                if i > first:
-                    inner = 0.5 * (inner + self.rest[i - 1][0])
-                if i < last:
-                    outer = 0.5 * (outer + self.rest[i + 1][0])
-                self.load_shape[i] = self.mean_over_ring(rate, inner, outer)
+                self.load_shape[i] = self.mean_over_ring(rate, inner, self.ring_edge[i])
+                inner = self.ring_edge[i]
 
     @ti.func
     def elastic_force(self, eye, i):
@@ -524,7 +528,7 @@ class Cornea:
         return (
             self.borne_stress(eye, k),
             ti.sqrt(ti.max(stiffness, 0.0) / density),
-            ti.sqrt(ti.max(meridional + 1.22 * tilting, 0.0) / density),
+            ti.sqrt(ti.max(meridional + 0.25 * STIFFEST_SHEAR * tilting, 0.0) / density),
         )
 
     @ti.func

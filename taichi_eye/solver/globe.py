@@ -53,7 +53,7 @@ class Globe:
 
     @ti.func
     def followed(self, eye, dt):
-        """The share of its way to C p that the globe goes in a step of dt [s]."""
+        """The share of its way to V(p) that the globe goes in a step of dt [s]."""
         share = 1.0
         if self.delay[eye] > 0.0:
             share = 1.0 - ti.exp(-dt / self.delay[eye])

@@ -10,6 +10,7 @@ import ast
 import math
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import cached_property
 
 import numpy as np
 
@@ -247,7 +248,11 @@ class Reduced:
         spread = self.puff.on_rings(nodes[:, 0], central_curvature(place, nodes[:, 0]))
         air = self.puff.pressure_at_apex(sample * self.clock.sample_s) * spread
         net = self.eye.iop + self.frames[frame, :, 6] - air
-        return Folding.of(self.eye, nodes).lobes(place, net)
+        return self._folding.lobes(place, net)
+
+    @cached_property
+    def _folding(self) -> Folding:
+        return Folding.of(self.eye, self.section.cornea_nodes(self.wall_count - 1))
 
     def _flow_maps(self):
         """What makes flow maps of a wall: an object with `refresh()` and `neumann`; asked for where `flowing`."""

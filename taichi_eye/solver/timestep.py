@@ -10,11 +10,11 @@
     viscous                 g^2 rho / (4 mu)
     membrane, in plane      L / sqrt((B + S1) / rho_s), B the tangent along the meridian: twice the stiffness at twice
                             the stretch, so it shrinks as the cornea dents
-    membrane, transverse    L / sqrt((S1 + 1.22 kappa G g (3 g - 2)) / rho_s), kappa G the modulus of transverse shear,
-                            g = 1 / cos^2 of the wall's turn from rest
+    membrane, transverse    L / sqrt((S1 + 1.21 kappa G s (3 s - 2)) / rho_s), kappa G the modulus of transverse shear,
+                            s = 1 / cos^2 of the wall's turn from rest
     membrane, bending       0.338 L^2 sqrt(rho_s h_wall / D), D of the thickest part: the stiffest wave, which sits at
                             the apex, where the hoop term is as stiff as the meridian's; a flat strip has 0.5
-    membrane, shear         the t with (t / t_transverse)^2 + b t = 1, b = 2.42 (kappa G / rho_s) delay g^2 / L^2, g
+    membrane, shear         the t with (t / t_transverse)^2 + b t = 1, b = 2.42 (kappa G / rho_s) delay s^2 / L^2, s
                             the largest: what is left of the transverse limit by the shear's viscosity, taken from the
                             step before
     coupling                sqrt(g rho_s h_wall / (rho c^2)): half of where a sweep stops contracting; beyond, light
@@ -33,6 +33,7 @@ import math
 import numpy as np
 
 from taichi_eye.errors import SceneError
+from taichi_eye.solver.cornea import STIFFEST_SHEAR
 
 NAMES = (
     "acoustic",
@@ -45,9 +46,7 @@ NAMES = (
     "volume",
     "membrane shear",
 )
-# squared frequency of the stiffest discrete wave, which sits at the apex: of tension or shear, over speed^2 / L^2, and
-# of bending, over D / (rho_s h_wall L^4)
-STIFFEST_SHEAR, STIFFEST_BENDING = 4.842, 35.008
+STIFFEST_BENDING = 35.008  # as STIFFEST_SHEAR, of bending, over D / (rho_s h_wall L^4)
 NODE_STEPS_MAX = 2e11  # of a run: some five hours on one core
 
 
@@ -127,7 +126,7 @@ def rest_limits(case, nodes_flow: bool) -> dict[str, float]:
     along = float(tissue.law.of_arrays.tangent(strain, strain, strain, tissue.coefficients)[0])
     shear, density = eye.shear_stiffness, tissue.density
     stiff = (1.0 + tissue.overstress_share) * along + eye.rest_stress + 0.5 * shear
-    transverse = length / math.sqrt((eye.rest_stress + 1.22 * shear) / density)
+    transverse = length / math.sqrt((eye.rest_stress + 0.25 * STIFFEST_SHEAR * shear) / density)
     damping = shear_damping(eye) / length**2
     found = {
         "cornea.stiffness_a_pa": length / math.sqrt(stiff / density),

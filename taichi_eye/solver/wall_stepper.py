@@ -108,7 +108,7 @@ class WallStepper:
         least_stress: float,
     ):
         """Take the cornea's present state as rest; back [walls]: z of the rigid back below each node [m]; compliance
-        [m^3/Pa] of the liquid and of the globe, and the globe's delay [s] and P0 [Pa]; density of the liquid [kg/m^3];
+        [m^3/Pa] of the liquid; density of the liquid [kg/m^3];
         bending_step: limit of the step by the plate's stiffest wave per squared element [s/m^2]; shear_damping: rate
         of the shear's viscosity times a squared element [m^2/s]; least_stress [Pa]: at which an alarm is given."""
         self.sealed[None], self.status[None], self.steps[None], self.aged[None] = sealed, RUNNING, 0, 1
@@ -271,9 +271,8 @@ class WallStepper:
             followed = self.globe.followed(0, dt)
             soft = self.compliance[None]
             full = self.rest_volume[None] - (1.0 - followed) * self.globe.taken_up[0]
-            held, compliance = self.globe.uptake(0, followed, soft, p0)
             if self.steps[None] == 0:
-                self.resolved[0] = ti.select(yielding < compliance, 1.0, 0.0)
+                self.resolved[0] = ti.select(yielding < self.globe.uptake(0, followed, soft, p0)[1], 1.0, 0.0)
             if self.resolved[0] > 0.0:
                 change = self.globe.pressure_for(0, followed, soft, full - self._volume_at(self.cornea.place)) - p0
             else:

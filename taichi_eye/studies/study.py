@@ -23,7 +23,6 @@ columns whose names have no dot are carried into the study's table as text.
 
 from __future__ import annotations
 
-import difflib
 import io
 import math
 import sys
@@ -37,7 +36,7 @@ import numpy as np
 from taichi_eye import shipped
 from taichi_eye.errors import SceneError
 from taichi_eye.scene import Scene, load_scene
-from taichi_eye.scene.draft import written
+from taichi_eye.scene.draft import nearest, written
 from taichi_eye.scene.schema import AUTO, all_keys
 from taichi_eye.scene.table import DELIMITERS, read_text
 from taichi_eye.studies.columns import FIGURES
@@ -161,12 +160,6 @@ def of_plain(plain: Mapping[str, Any], base: Scene, name: str, keys: Sequence[st
     reader.stop_if_refused()
     rows = {key: np.zeros(0) for key in keys if key not in followers}
     return Study(name, base, "table", vary, followers, show=tuple(plain["show"]), table=rows)
-
-
-def nearest(name: str, names: Sequence[str]) -> str:
-    """A hint at what may have been meant."""
-    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-    return f"; did you mean {close[0]}?" if close else ""
 
 
 class _Reader:

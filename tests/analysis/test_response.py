@@ -7,10 +7,11 @@ from scipy.interpolate import CubicSpline
 from taichi_eye.analysis.curves import Curves, curves_from_wall, grid, smooth
 from taichi_eye.analysis.norms import ELDERLY_AGE_YEARS, NORMS, POPULATIONS, judged_by
 from taichi_eye.analysis.response import (
+    CURVATURE_MM,
     READ_AS,
     Response,
     biop_surrogate_mmhg,
-    circle_curvature,
+    circle,
     histories,
     moving,
     respond,
@@ -40,7 +41,7 @@ def test_circle_has_its_curvature(radius):
     x = grid()
     inside = np.abs(x) < 2.0
     z = np.where(inside, np.sign(radius) * np.sqrt(radius**2 - np.where(inside, x, 0.0) ** 2), np.nan)
-    assert circle_curvature(x, z + 3.0) == pytest.approx(1.0 / radius, rel=2e-4)
+    assert circle(x, z + 3.0, CURVATURE_MM)[0] == pytest.approx(1.0 / radius, rel=2e-4)
 
 
 def test_applanations_lie_where_the_curvature_vanishes():

@@ -126,6 +126,41 @@ def test_rows_are_estimated_beside_their_own_pressures(scene_file, tmp_path, mon
     assert (out / "estimates.csv").read_text().startswith("row,iop_mmhg,iop_mmhg_low95,iop_mmhg_high95")
 
 
+def test_rows_that_calibrate_one_another_are_solved_by_what_the_others_tell(scene_file, tmp_path, monkeypatch, capsys):
+    slopes = {"a1_time_ms": np.array([7.4, 2.0, -3.0]), "deformation_amplitude_mm": np.array([1.05, -0.4, 0.9])}
+    slopes["a2_time_ms"] = np.array([21.8, -1.5, 4.0])
+    shown = lambda name, iop, puff: (
+        slopes[name][0] + slopes[name][1] * np.log(iop / 15.0) + slopes[name][2] * np.log(puff)
+    )
+    peak = load_scene(scene_file).puff.peak_kpa
+    monkeypatch.setattr(
+        ParameterRow,
+        "predict",
+        lambda row, motion: np.array(
+            [shown(n, motion.scene.eye.iop_mmhg, motion.scene.puff.peak_kpa / peak) for n in row.names]
+        ),
+    )
+    text = ",".join((*slopes, "CCT", "bIOP")) + "\n"
+    for iop in (13.0, 17.0, 22.0):
+        text += ",".join(f"{shown(name, iop, 1.03):.6g}" for name in slopes) + f",550,{iop}\n"
+    (tmp_path / "rows.csv").write_text(text)
+    arguments = ["estimate", str(tmp_path / "rows.csv"), "--scene", str(scene_file), "--model-error-um", "0", "--quiet"]
+    arguments += ["--known", "radius_mm=7.8", "--free", "iop_mmhg", "--calibrate-rows"]
+    for more in (["--known", "puff=1"], ["--instrument", str(scene_file)]):
+        assert main([*arguments, *more]) == 2 and not (tmp_path / "out").exists()
+    capsys.readouterr()
+    assert main([*arguments, "--out", str(tmp_path / "out")]) == 0
+    report = json.loads((tmp_path / "out" / "estimate.json").read_text())
+    assert report["calibration"]["puff"][0] > 1.0
+    for row, iop in zip(report["rows"], (13.0, 17.0, 22.0)):
+        found = row["quantities"]["iop_mmhg"]
+        assert abs(found["value"] - iop) < 3.0 * found["standard_deviation"]
+        # all that stands beside the estimate is of the same solution: the profile is lowest at it
+        profile = row["profile"]
+        lowest = np.interp(0.0, profile["standard_deviations"], profile["iop_mmhg"])
+        assert lowest == pytest.approx(found["value"], rel=1e-3)
+
+
 def test_the_study_in_a_short_form(scene_file, tmp_path, capsys):
     scene = load_scene(scene_file)
     rows, figures = estimates.measure(scene, 3, 7, "alone", lambda text: None)

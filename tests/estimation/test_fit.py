@@ -131,6 +131,21 @@ def test_a_profile_of_a_linear_problem_is_a_parabola(monkeypatch):
     assert ends == pytest.approx(solution.place[0] + np.array([-1, 1]) * np.sqrt(solution.covariance[0, 0]), rel=1e-3)
 
 
+@pytest.mark.parametrize("left_out", [0.0, 0.15])
+def test_the_sum_with_a_larger_model_error_is_that_of_the_widened_problem(monkeypatch, left_out):
+    use(monkeypatch)
+    problem = problem_of(seen(scene_with(BASE, TRUTH), 7), BASE, ELSE)
+    problem.widen(1.2, left_out)
+    place = problem.before.mean + 0.05
+    found = problem.sums(place, 2.5)
+    assert problem.factor == 1.2 and found < problem.cost(place)
+    problem.widen(2.5, left_out)
+    assert found == pytest.approx(problem.cost(place), rel=1e-9)
+    wrong = problem.seen.model_error(problem.model)
+    if not left_out:
+        assert problem.covariance == pytest.approx(problem.seen.noise() + 2.5**2 * wrong, rel=1e-12)
+
+
 def test_landmarks_are_passed_where_they_are():
     time = np.linspace(0.0, 32.0, 641)
     depth = np.interp(time, [0, 8, 16, 20, 32], [0, 0, 0.8, 0.8, 0])

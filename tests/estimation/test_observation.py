@@ -116,7 +116,7 @@ def test_the_model_error_of_a_scene_is_its_distance_from_living_eyes():
     assert near.parameters["deformation_amplitude_mm"] >= model_error.LEAST_SHARE * 0.108
     weak = model_error.of_scene(BASE.but({"puff.peak_kpa": 5.0}))
     assert weak.parameters["deformation_amplitude_mm"] > near.parameters["deformation_amplitude_mm"]
-    assert near.times(2.0).of("a1_time_ms", 7.0) == 2.0 * near.of("a1_time_ms", 7.0)
+    assert near.of("a1_time_ms", 7.0) == near.parameters["a1_time_ms"] and near.of("unjudged", -2.0) == 2.0 * near.share
 
 
 def test_nothing_there_is_said(tmp_path):
