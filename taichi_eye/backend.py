@@ -14,6 +14,8 @@ import io
 import os
 import weakref
 
+import numpy as np
+
 from taichi_eye.lang import CACHE, CACHE_NOTE, NAME, cache_options, program, ti
 
 if NAME == "taichi":
@@ -121,6 +123,12 @@ if hasattr(os, "register_at_fork"):  # where processes can fork: not on Windows
 def real():
     """The floating-point type that `init` chose: ti.f64 or ti.f32."""
     return ti.f64 if _started()["precision"] == "f64" else ti.f32
+
+
+def rounding() -> float:
+    """The relative spacing of the numbers in force: of f64 before the first `init`."""
+    single = _active.get("precision") == "f32"
+    return float(np.finfo(np.float32 if single else np.float64).eps)
 
 
 def settings() -> dict:

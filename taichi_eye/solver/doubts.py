@@ -21,7 +21,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from taichi_eye.solver.case import Case
-from taichi_eye.solver.guards import ENERGY_FLOOR
+from taichi_eye.solver.guards import energy_floor
 from taichi_eye.units import MM, MS
 
 BALANCE = 0.02  # of the puff's work
@@ -44,7 +44,7 @@ def _peak_mm(traces) -> float:
 
 def _energy(case, traces) -> str:
     work, off = (float(np.abs(traces[name]).max()) * 1e-6 for name in ("puff_work_uj", "energy_error_uj"))
-    if off <= BALANCE * work or off <= ENERGY_FLOOR:
+    if off <= BALANCE * work or off <= energy_floor(case):
         return ""
     amount = f"by {100.0 * off / work:.1f} % of the puff's work" if off < work else "by more than all work of the puff"
     slip = ', or use numerics.wall_condition = "slip"' if case.scheme.no_slip else ""

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taichi_eye import backend
 from taichi_eye.errors import RunStopped
 from taichi_eye.eye.eye import Eye
 from taichi_eye.mfpm.operators import CONDITION_LIMIT
@@ -34,7 +35,7 @@ CLOSED = 0.1  # of the height of the chamber at rest: the cornea is about to tou
 CONDITION_GROWTH = 1e3  # over the limit that stencils are chosen by
 ENERGY_SHARE = 0.1  # of the largest work done so far
 CHURN_SHARE = 0.15  # of the same: fed by the scheme and taken by its dissipation
-ENERGY_FLOOR = 1e-10  # J: below it no gain is judged (the default puff works 2e-5 J)
+ENERGY_FLOOR = 1e-10  # J: below it no gain is judged (the default puff works 2e-5 J), see `energy_floor`
 OVERTURNED = 15.0  # 1 / cos^2 of a turn by 75 degrees, where there is shear: sections that stayed lie along the wall
 LIGHT = 0.3  # mass of the cornea over that of a layer of nodes below which the wall pressure outruns the wall
 
@@ -59,6 +60,15 @@ def least_stress(eye: Eye) -> float:
     return -bent - eye.shear_stiffness
 
 
+def energy_floor(case: Case) -> float:
+    """Energy [J] below which no gain is judged: ENERGY_FLOOR, or in single precision what rounding makes of the energy
+    of a wall under tension, whose strains are differences of places: eps R / spacing of its stress times its volume."""
+    eye = case.eye
+    radius = eye.section.radius
+    tension = 2.0 * np.pi * radius**2 * eye.cornea.thickness * eye.rest_stress
+    return max(ENERGY_FLOOR, backend.rounding() * radius / case.scheme.spacing * tension)
+
+
 def check(
     figures: dict[str, float],
     *,
@@ -75,13 +85,14 @@ def check(
     gained [J]: stored - work of the puff; largest_work [J]: the largest |work| so far; advice: the rung's;
     radius_mm(node): reference radius of a node; lobes: into which a shell folds, None where it does not.
     """
-    allowed = ENERGY_SHARE * largest_work + ENERGY_FLOOR
+    floor = energy_floor(case)
+    allowed = ENERGY_SHARE * largest_work + floor
     viscous, numerical = figures["viscous_loss"], figures["numerical_loss"]
 
     def stop(what, remedy, node):
         raise RunStopped(what, f"at r = {radius_mm(int(node)):.2f} mm", time_ms, remedy)
 
-    churned = CHURN_SHARE * largest_work + ENERGY_FLOOR
+    churned = CHURN_SHARE * largest_work + floor
     grew = gained > allowed or gained + numerical > churned
     found = figures["least_stress"]
     shell = case.eye.cornea.is_shell
@@ -166,6 +177,7 @@ class Guard:
         self.cases, self.advice = cases, advice
         self.least = np.array([least_stress(case.eye) for case in cases])
         self._shells = np.array([case.eye.cornea.is_shell for case in cases])
+        self._floor = np.array([energy_floor(case) for case in cases])
         self.largest_work = np.zeros(len(cases))
         self._low, self._high = np.full((2, len(cases), len(QUANTITIES)), [[[-np.inf]], [[np.inf]]])
         condition = [CONDITION_GROWTH * CONDITION_LIMIT[case.scheme.basis] for case in cases]
@@ -194,8 +206,8 @@ class Guard:
         self.largest_work = work
         gained = gain(rows)
         within = ((rows >= self._low) & (rows <= self._high)).all(1)
-        within &= gained + np.maximum(rows[:, at.viscous_loss], 0.0) <= ENERGY_SHARE * work + ENERGY_FLOOR
-        within &= gained + rows[:, at.numerical_loss] <= CHURN_SHARE * work + ENERGY_FLOOR
+        within &= gained + np.maximum(rows[:, at.viscous_loss], 0.0) <= ENERGY_SHARE * work + self._floor
+        within &= gained + rows[:, at.numerical_loss] <= CHURN_SHARE * work + self._floor
         return within & ~(at_frame & self.may_fold(slice(None), rows))
 
     def may_fold(self, eye, rows: np.ndarray):

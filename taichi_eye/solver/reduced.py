@@ -25,7 +25,7 @@ from taichi_eye.solver.case import case_of
 from taichi_eye.solver.cornea import Cornea
 from taichi_eye.solver.figures import at, at_rest, traces_of
 from taichi_eye.solver.folding import Folding
-from taichi_eye.solver.guards import CLOSED, OVERTURNED, Advice, Guard
+from taichi_eye.solver.guards import CLOSED, OVERTURNED, Advice, Guard, energy_floor
 from taichi_eye.solver.motion import Motion
 from taichi_eye.solver.potential import LayerFlow, PotentialFlow
 from taichi_eye.solver.rings import ring_areas
@@ -133,6 +133,7 @@ class Reduced:
             bending_step=bending_limit(eye),
             shear_damping=shear_damping(eye),
             least_stress=-math.inf if eye.cornea.is_shell else 0.0,
+            energy_floor=energy_floor(self.case),
         )
         self.stepper.globe.build(eye)
 

@@ -69,9 +69,8 @@ class WallStepper:
         self.progress = ti.field(fp, 1)  # alpha; way: d / d . d [1/m]
         self.rest_volume, self.rest_enclosed, self.compliance, self.density = (ti.field(fp, ()) for _ in range(4))
         self.sealed, self.status, self.steps, self.aged = (ti.field(ti.i32, ()) for _ in range(4))
-        self.rest_energy, self.bending_step, self.shear_damping, self.least_stress = (
-            ti.field(fp, ()) for _ in range(4)
-        )
+        self.rest_energy, self.bending_step, self.shear_damping = (ti.field(fp, ()) for _ in range(3))
+        self.least_stress, self.energy_floor = (ti.field(fp, ()) for _ in range(2))
         self.last_dt, self.largest_work = ti.field(fp, 1), ti.field(fp, 1)
         self.resolved = ti.field(fp, 1)  # 1 where the chamber's own mode is, else 0
         self.snapshot = Snapshot(
@@ -106,16 +105,18 @@ class WallStepper:
         bending_step: float,
         shear_damping: float,
         least_stress: float,
+        energy_floor: float,
     ):
         """Take the cornea's present state as rest; back [walls]: z of the rigid back below each node [m]; compliance
         [m^3/Pa] of the liquid; density of the liquid [kg/m^3];
         bending_step: limit of the step by the plate's stiffest wave per squared element [s/m^2]; shear_damping: rate
-        of the shear's viscosity times a squared element [m^2/s]; least_stress [Pa]: at which an alarm is given."""
+        of the shear's viscosity times a squared element [m^2/s]; least_stress [Pa], and gain of energy_floor [J]: at
+        which an alarm is given."""
         self.sealed[None], self.status[None], self.steps[None], self.aged[None] = sealed, RUNNING, 0, 1
         self.compliance[None], self.rest_volume[None], self.density[None] = compliance, volume, density
         self.last_dt[0], self.largest_work[0], self.progress[0] = 0.0, 0.0, 0.0
         self.bending_step[None], self.shear_damping[None] = bending_step, shear_damping
-        self.least_stress[None] = least_stress
+        self.least_stress[None], self.energy_floor[None] = least_stress, energy_floor
         for i in range(self.cornea.last[0] + 1):
             zero = ti.Vector([0.0, 0.0])
             self.back[i] = back[i]
@@ -424,7 +425,7 @@ class WallStepper:
             or least <= self.least_stress[None]
             or room < guards.CLOSED
             or slant > guards.OVERTURNED
-            or gained > guards.ENERGY_SHARE * self.largest_work[0] + guards.ENERGY_FLOOR
+            or gained > guards.ENERGY_SHARE * self.largest_work[0] + self.energy_floor[None]
         ):
             self.status[None] = ALARM
         record[row, at.apex_place] = self.cornea.place[0][1]

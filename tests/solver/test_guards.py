@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from eye_bench import run_eye
 
+from taichi_eye import backend
 from taichi_eye.errors import RunStopped
 from taichi_eye.eye.eye import eye_of
 from taichi_eye.mfpm.operators import CONDITION_LIMIT
 from taichi_eye.scene import load_scene
 from taichi_eye.solver.case import case_of
 from taichi_eye.solver.figures import NOT_CONVERGED, QUANTITIES, RUNNING, at_rest
-from taichi_eye.solver.guards import Guard, check, least_stress, liquid_advice
+from taichi_eye.solver.guards import ENERGY_FLOOR, Guard, check, energy_floor, least_stress, liquid_advice
 
 SOUND = {
     "least_stress": 14e3,
@@ -213,3 +214,17 @@ def test_a_dent_of_three_quarters_of_the_chamber_is_no_failure(overrides):
     assert run.stop is None
     assert run["apex_displacement_mm"].max() > 1.8
     assert np.abs(run["energy_error_uj"]).max() < 0.01 * run["puff_work_uj"].max()
+
+
+@pytest.mark.parametrize("precision", ["f32", "f64"])
+def test_gains_within_the_rounding_of_the_wall_are_not_judged(precision, monkeypatch):
+    case = case_of(load_scene(None, ["eye.iop_mmhg=25", "numerics.spacing_mm=0.35"]))
+    monkeypatch.setattr(backend, "_active", {"precision": precision})
+    floor = energy_floor(case)
+    if precision == "f64":
+        assert floor == ENERGY_FLOOR
+    else:
+        # places of some 8 mm to one part in 2^23, strains over 0.35 mm: what so much strain adds to the wall's energy
+        strain = 2.0**-23 * 8.0 / 0.35
+        wall = 2.0 * np.pi * 8.0e-3**2 * case.eye.cornea.thickness
+        assert floor == pytest.approx(strain * case.eye.rest_stress * wall, rel=0.1) and floor > 10.0 * ENERGY_FLOOR

@@ -99,7 +99,7 @@ def test_a_wall_turned_inside_out_stores_what_twice_the_tilt_asks_for():
     probe = Probe()
     flat = probe.nodes * [1.0, -1.0]
     probe.cornea.place.from_numpy(flat)
-    rest = probe.cornea.rest_angle.to_numpy()[:24]
+    rest = probe.cornea.rest_angle.to_numpy()[:24, 0]
     area = 2.0 * np.pi * probe.cornea.element_radius.to_numpy()[:24] * probe.cornea.element_length.to_numpy()[:24]
     assert probe.shell_energy() == pytest.approx(0.5 * STIFFNESS * (area * np.tan(2.0 * rest) ** 2).sum(), rel=1e-12)
 
