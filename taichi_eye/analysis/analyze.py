@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -27,7 +26,7 @@ from taichi_eye.analysis.response import (
 from taichi_eye.errors import FilmError
 from taichi_eye.film import EncoderError
 from taichi_eye.provenance import provenance
-from taichi_eye.report.folder import create_run_folder, refuse_taken, replacing, write_text
+from taichi_eye.report.folder import create_run_folder, refuse_taken, replacing, write_rows, write_text
 
 NAME_MAX = 100  # letters of the film's name in the folder's
 PRESSURE_MMHG, AGE_YEARS = (0.0, 100.0), (0.0, 130.0)
@@ -78,13 +77,13 @@ def analyze(
     try:
         curves = curves_from_edges(edges, film.time_ms, film.instrument)
         history = histories(curves)
-        response = respond(curves, interval, pressure, puff)
+        response = respond(curves, interval, pressure, puff, ready=history)
         refuse_what_is_no_cornea(curves, history, response)
     except FilmError as error:
         raise FilmError(f"{path}: {error}") from None
     if pressure is None and None not in (iop_nct_mmhg, age_years, response.central_thickness_um):
         pressure = biop_surrogate_mmhg(iop_nct_mmhg, response.central_thickness_um, age_years)
-        response = respond(curves, interval, pressure, puff)
+        response = respond(curves, interval, pressure, puff, ready=history)
     response, doubts = believed(response, curves, history, film.timed_by)
     notes = [f"frame times from {film.timed_by}", *film.notes, *curves.notes, *doubts]
     if response.deformation_amplitude_mm is None and not (np.nan_to_num(history.apex_mm) > MOVED_MM).any():
@@ -94,7 +93,7 @@ def analyze(
     true_history = true_response = None
     if film.truth is not None:
         true_history = histories(film.truth)
-        true_response = respond(film.truth, interval, pressure, puff)
+        true_response = respond(film.truth, interval, pressure, puff, ready=true_history)
     result = Analysis(film, edges, curves, history, response, true_history, true_response, tuple(notes))
     if not write:
         return result
@@ -118,22 +117,18 @@ def write_results(result: Analysis, folder: Path) -> None:
     film, curves, history = result.film, result.curves, result.histories
     scores = z_scores(result.response)
     populations = list(NORMS)
-    with replacing(folder / "parameters.csv") as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(
-            ["parameter", "value"]
-            + (["computed"] if result.true_response else [])
-            + [f"{what}_{population}" for population in populations for what in ("mean", "sd", "z")]
-        )
-        for f in fields(Response):
-            value = getattr(result.response, f.name)
-            row = [f.name, _figure(value)]
-            row += [_figure(getattr(result.true_response, f.name))] if result.true_response else []
-            for population in populations:
-                mean, deviation = NORMS[population].get(f.name, ("", ""))
-                z = scores.get(f.name, {}).get(population)
-                row += [mean, deviation, "" if z is None else f"{z:.2f}"]
-            rows.writerow(row)
+    head = ["parameter", "value"] + (["computed"] if result.true_response else [])
+    head += [f"{what}_{population}" for population in populations for what in ("mean", "sd", "z")]
+    rows = []
+    for f in fields(Response):
+        row = [f.name, _figure(getattr(result.response, f.name))]
+        row += [_figure(getattr(result.true_response, f.name))] if result.true_response else []
+        for population in populations:
+            mean, deviation = NORMS[population].get(f.name, ("", ""))
+            z = scores.get(f.name, {}).get(population)
+            row += [mean, deviation, "" if z is None else f"{z:.2f}"]
+        rows.append(row)
+    write_rows(folder / "parameters.csv", head, rows)
     report = {
         "source": film.name,
         "frames": len(film.frames),
@@ -158,10 +153,9 @@ def write_results(result: Analysis, folder: Path) -> None:
         "curvature_per_mm": history.curvature_per_mm,
         "central_thickness_mm": thickness,
     }
-    with replacing(folder / "histories.csv") as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(columns)
-        rows.writerows([_figure(value) for value in row] for row in zip(*columns.values()))
+    write_rows(
+        folder / "histories.csv", list(columns), ([_figure(value) for value in row] for row in zip(*columns.values()))
+    )
     with replacing(folder / "edges.npz") as temporary:
         np.savez_compressed(
             temporary,

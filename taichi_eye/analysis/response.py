@@ -45,6 +45,7 @@ FLAT_MM, FLAT_REACH_MM = 0.010, 2.0
 SPEED_MS, SHAPE_MS, TOP_MS = 0.8, 0.7, 1.6  # half widths of the moving polynomials
 MOVED_MM = 0.05
 CORVIS_PEAK_MMHG = 96.4  # Oehring 2021, doi 10.3390/app11062499
+SHOWN_IOP = 16.8, 7.36, 0.134  # IOPnct [mmHg] at an A1 time [ms], means of 652 eyes (PMC7001013), and ms a mmHg
 
 
 @dataclass(frozen=True)
@@ -160,15 +161,16 @@ def respond(
     age_years: float | None = None,
     curvature_mm: float = CURVATURE_MM,
     inverse_mm: float = INVERSE_MM,
+    ready: Histories | None = None,
 ) -> Response:
     """DCR parameters of the curves.
 
     frame_interval_ms: of the camera, for the integrated inverse radius. biop_mmhg: pressure of the eye, and puff_mmhg:
     the air's pressure at the apex [mmHg] at a time [ms], for SP-A1. age_years: of the eye, in place of biop_mmhg:
     IOPnct and bIOP are then those that the instrument would show. curvature_mm, inverse_mm: half widths of the circles
-    of the curvature and of the inverse radius.
+    of the curvature and of the inverse radius. ready: `histories(curves, curvature_mm)` where they are there already.
     """
-    h = histories(curves, curvature_mm)
+    h = histories(curves, curvature_mm) if ready is None else ready
     time, x = h.time_ms, h.x_mm
     found: dict[str, float] = {}
     if curves.thickness_mm is not None:
@@ -224,11 +226,15 @@ def respond(
 
 
 def shown_iop_nct_mmhg(a1_time_ms: float) -> float:
-    """IOPnct, the pressure that the instrument reads off its A1 time: 16.8 mmHg at 7.36 ms and .134 ms a mmHg.
+    """IOPnct, the pressure that the instrument reads off its A1 time: linear, `SHOWN_IOP`."""
+    mean_mmhg, mean_ms, ms_per_mmhg = SHOWN_IOP
+    return mean_mmhg + (a1_time_ms - mean_ms) / ms_per_mmhg
 
-    The pair of means is that of 652 eyes (PMC7001013).
-    """
-    return 16.8 + (a1_time_ms - 7.36) / 0.134
+
+def a1_time_shown_as_ms(iop_nct_mmhg: float) -> float:
+    """The A1 time that `shown_iop_nct_mmhg` gives this IOPnct."""
+    mean_mmhg, mean_ms, ms_per_mmhg = SHOWN_IOP
+    return mean_ms + ms_per_mmhg * (iop_nct_mmhg - mean_mmhg)
 
 
 def biop_surrogate_mmhg(iop_nct_mmhg: float, thickness_um: float, age_years: float) -> float:

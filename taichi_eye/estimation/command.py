@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import math
 import re
@@ -241,7 +240,7 @@ def _report_rows(results, rows, notes, calibration, folder: Path) -> dict:
     """Print a table's estimates and their agreement with its own pressures; what the JSON file holds."""
     from taichi_eye.estimation import words
     from taichi_eye.estimation.estimate import Estimate
-    from taichi_eye.report.folder import replacing
+    from taichi_eye.report.folder import write_rows
 
     content: dict = {}
     if calibration is not None:
@@ -257,17 +256,15 @@ def _report_rows(results, rows, notes, calibration, folder: Path) -> dict:
             print(line)
         content["agreement"] = vars(agreement)
     content["rows"] = [words.as_json(one) if isinstance(one, Estimate) else {"refused": str(one)} for one in results]
-    with replacing(folder / "estimates.csv") as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
-        table = csv.writer(file, lineterminator="\n")
-        names = list(dict.fromkeys(q.name for one in results if isinstance(one, Estimate) for q in one.quantities))
-        table.writerow(["row", *(f"{n}{end}" for n in names for end in ("", "_low95", "_high95")), "chi2", "refused"])
-        for one, row in zip(results, rows):
-            if isinstance(one, Estimate):
-                cells = {q.name: (q.value, *q.range95) for q in one.quantities}
-                figures = [f"{value:.6g}" for n in names for value in cells.get(n, ())]
-                table.writerow([row.label, *figures, f"{one.chi2:.4g}", ""])
-            else:
-                table.writerow([row.label, *[""] * (3 * len(names) + 1), str(one)])
+    names = list(dict.fromkeys(q.name for one in results if isinstance(one, Estimate) for q in one.quantities))
+    head = ["row", *(f"{n}{end}" for n in names for end in ("", "_low95", "_high95")), "chi2", "refused"]
+    lines = []
+    for one, row in zip(results, rows):
+        found = {q.name: (q.value, *q.range95) for q in one.quantities} if isinstance(one, Estimate) else {}
+        figures = [f"{value:.6g}" if value != "" else "" for n in names for value in found.get(n, ("",) * 3)]
+        ends = [f"{one.chi2:.4g}", ""] if isinstance(one, Estimate) else ["", str(one)]
+        lines.append([row.label, *figures, *ends])
+    write_rows(folder / "estimates.csv", head, lines)
     return content
 
 

@@ -20,6 +20,7 @@ from scipy.signal import savgol_filter
 
 from taichi_eye.analysis.curves import REST_MS, SMOOTH_MM, X_STEP_MM, Curves, curves_from_wall, grid
 from taichi_eye.analysis.response import SIDE_MM, Histories, histories
+from taichi_eye.analysis.simulated import FRAMES_LEAST
 from taichi_eye.cloud.packing import Cloud, pack
 from taichi_eye.eye.eye import REFERENCE_IOP, Eye, eye_of
 from taichi_eye.eye.section import Section
@@ -35,7 +36,6 @@ RUNS = {"membrane": Membrane, "cavity": Cavity, "added_mass": AddedMass}
 TRAVEL = 1.5  # of the wall in spacings between two flow maps: 0.5 um of the apex, and half the time
 FRIEDENWALD_MMHG = REFERENCE_IOP / MMHG  # at which such a globe is named
 BETWEEN = 12  # places between two nodes of a wall that its curve is taken at
-FRAMES_LEAST = 30  # fewer show no response
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,16 +9,15 @@ IOPnct is the A1 time by another name, and gives it where the table does not.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from taichi_eye.analysis.response import a1_time_shown_as_ms
 from taichi_eye.errors import SceneError
-from taichi_eye.scene.table import DELIMITERS, read_text
+from taichi_eye.scene.table import number, read_cells
 
 # standard deviation between examinations; range that any eye's value lies in
 REPEATABILITY = {
@@ -95,6 +94,11 @@ def named(cell: str) -> str | None:
     return _ALIASES.get(re.sub(r"[^a-z0-9]", "", bare)) or _ALIASES.get(re.sub(r"[^a-z0-9]", "", text))
 
 
+def is_parameter(cell: str) -> bool:
+    """Whether a header's cell is a column of a table of parameters, or the word over a column of their names."""
+    return named(cell) is not None or cell in ("parameter", "value")
+
+
 def checked(path, label: str, found: Mapping[str, float]) -> Row:
     """A row whose values are in range, units mended where they are plain; SceneError names what is not."""
     values, beside, notes = {}, {}, []
@@ -116,8 +120,7 @@ def checked(path, label: str, found: Mapping[str, float]) -> Row:
             raise SceneError(f"{path}: {label}: {name} = {value:g}; an eye's lies between {low:g} and {high:g}")
         (values if name in REPEATABILITY else beside)[name] = value
     if "a1_time_ms" not in values and "iop_nct_mmhg" in beside:
-        # the instrument reads its IOPnct off the A1 time (`shown_iop_nct_mmhg`)
-        values["a1_time_ms"] = 7.36 + 0.134 * (beside["iop_nct_mmhg"] - 16.8)
+        values["a1_time_ms"] = a1_time_shown_as_ms(beside["iop_nct_mmhg"])
         notes.append("A1 time from IOPnct")
     if len(values) < 3:
         raise SceneError(
@@ -133,12 +136,10 @@ def read_rows(path: Path) -> tuple[list[Row], list[str]]:
     A table of two columns, parameter and value, as `taichi-eye analyze` writes it, is one row. A row with a value that
     cannot be is left out and said, unless it is the only one.
     """
-    cells = _cells(path)
-    header = cells[0][1]
+    header, delimiter, cells = read_cells(path, is_parameter)
     if header[:2] == ["parameter", "value"]:
-        pairs = {named(row[0]): row[1] for _, row in cells[1:] if len(row) > 1 and named(row[0]) and row[1]}
-        cells = [(1, list(pairs)), (2, list(pairs.values()))]
-        header = cells[0][1]
+        pairs = {named(row[0]): row[1] for _, row in cells if len(row) > 1 and named(row[0]) and row[1]}
+        header, cells = list(pairs), [(2, list(pairs.values()))]
     columns: dict[str, int] = {}
     for at, cell in enumerate(header):
         name = named(cell)
@@ -152,50 +153,22 @@ def read_rows(path: Path) -> tuple[list[Row], list[str]]:
             f"parameters: {', '.join(REPEATABILITY)}"
         )
     rows, left_out = [], []
-    for number, (line, row) in enumerate(cells[1:], 1):
-        label = f"row {number}" + (f" ({row[0]})" if row and 0 not in columns.values() else "")
+    for place, (line, row) in enumerate(cells, 1):
+        label = f"row {place}" + (f" ({row[0]})" if row and 0 not in columns.values() else "")
         try:
             found = {}
             for name, at in columns.items():
                 text = row[at].strip() if at < len(row) else ""
                 if text.lower() in ("", "-", "na", "nan", "n/a"):
                     continue
-                found[name] = _number(path, line, name, text)
+                found[name] = number(text, delimiter)
+                if not math.isfinite(found[name]):
+                    raise SceneError(f'{path}: line {line}: {name} = "{text}"; a finite number is needed')
             rows.append(checked(path, label, found))
         except SceneError as problem:
-            if len(cells) == 2:
+            if len(cells) == 1:
                 raise
             left_out.append(str(problem))
     if not rows:
         raise SceneError(left_out[0] if left_out else f"{path}: has no rows")
     return rows, left_out
-
-
-def _cells(path: Path) -> list[tuple[int, list[str]]]:
-    text = read_text(path)
-    first = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
-    delimiter = max(DELIMITERS, key=lambda mark: (first.count(mark), mark == ","))
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
-    try:
-        cells = [
-            (reader.line_num, [cell.strip() for cell in row])
-            for row in reader
-            if any(cell.strip() for cell in row) and not row[0].lstrip().startswith("#")
-        ]
-    except csv.Error as error:
-        raise SceneError(f"{path}: line {reader.line_num}: {error}") from None
-    if len(cells) < 2:
-        raise SceneError(f"{path}: needs a header and at least one row")
-    return cells
-
-
-def _number(path, line: int, name: str, text: str) -> float:
-    if re.fullmatch(r"[+-]?\d*,\d+", text):
-        text = text.replace(",", ".")
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise SceneError(f'{path}: line {line}: {name} = "{text}"; a finite number is needed')
-    return value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from taichi_eye.estimation.motion import cheap
 from taichi_eye.estimation.observation import STATIONS_MM, FilmSurface, ParameterRow
 from taichi_eye.estimation.unknowns import IOP, UNKNOWNS
 from taichi_eye.provenance import png_metadata
-from taichi_eye.report.folder import replacing
+from taichi_eye.report.folder import replacing, write_rows
 from taichi_eye.report.page import COLOURS
 
 INK, DATA, FIT, GREY = "#22262b", "#3d8b57", "#14539a", "#8b9099"
@@ -187,10 +186,7 @@ def write_table(found: Estimate, path: Path) -> None:
             columns.append([f"{x:g}" for x in seen.x_mm])
     head += ["measured", "fitted", "standard_deviation"]
     columns += [[f"{value:.6g}" for value in values] for values in (seen.values, found.fitted, found.deviations)]
-    with replacing(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(head)
-        rows.writerows(zip(*columns))
+    write_rows(path, head, zip(*columns))
 
 
 def fitted_rows(found: Estimate) -> np.ndarray:

@@ -20,13 +20,13 @@ from taichi_eye.analysis.plausible import CAP_REACH_MM
 from taichi_eye.analysis.response import circle
 from taichi_eye.errors import FilmError, NoEstimate, SceneError
 from taichi_eye.estimation.observation import Observation, of_film, of_history, of_row
-from taichi_eye.estimation.parameters import THICKNESS_SD_UM, Row, named, read_rows
+from taichi_eye.estimation.parameters import THICKNESS_SD_UM, Row, is_parameter, read_rows
 from taichi_eye.estimation.unknowns import RADIUS, THICKNESS, UNKNOWNS, Known
 from taichi_eye.eye.eye import eye_of
 from taichi_eye.report.compare import DEFLECTION, read_measured
 from taichi_eye.report.traces import COLUMNS
 from taichi_eye.scene import Scene, load_scene
-from taichi_eye.scene.table import read_text
+from taichi_eye.scene.table import read_cells
 from taichi_eye.units import MMHG, MS
 
 TABLES = ".csv", ".txt", ".tsv", ".dat"
@@ -110,8 +110,8 @@ def _film(path: Path, instrument: dict) -> Found:
 
 
 def _table(path: Path, scene: Scene, noise_um: float | None, age_years: float | None) -> Found:
-    header = _header(path)
-    if not any(cell.strip().lower().startswith("time") for cell in header) and any(named(cell) for cell in header):
+    header = read_cells(path, lambda cell: _is_time(cell) or is_parameter(cell) or cell in COLUMNS)[0]
+    if not any(_is_time(cell) for cell in header) and any(is_parameter(cell) for cell in header):
         rows, left_out = read_rows(path)
         puff, interval = eye_of(scene).puff, scene.camera.frame_interval_ms
         air = lambda t: float(puff.pressure_at_apex(t * MS)) / MMHG
@@ -123,8 +123,8 @@ def _table(path: Path, scene: Scene, noise_um: float | None, age_years: float | 
             seen.append(of_row(row, interval, air, age, shown))
         return Found(seen, rows=rows, notes=tuple(left_out))
     measured = read_measured(path)
-    of_run = bool(RUN_COLUMNS & {cell.strip() for cell in header})
-    read = any(cell.strip().startswith("apex_deflection") for cell in header)
+    of_run = bool(RUN_COLUMNS & set(header))
+    read = any(cell.startswith("apex_deflection") for cell in header)
     whole = measured.column != DEFLECTION and not of_run
     time, values = measured.time_ms, measured.displacement_mm
     notes = (*measured.notes, *_checked(path, time, values))
@@ -132,12 +132,8 @@ def _table(path: Path, scene: Scene, noise_um: float | None, age_years: float | 
     return Found([of_history(measured.name, time, values, whole, noise, read, notes)], notes=notes)
 
 
-def _header(path: Path) -> list[str]:
-    lines = (line for line in read_text(path).splitlines() if line.strip() and not line.lstrip().startswith("#"))
-    first = next(lines, "")
-    if first.lower().startswith("sep="):
-        first = next(lines, "")
-    return first.replace(";", ",").replace("\t", ",").split(",")
+def _is_time(cell: str) -> bool:
+    return cell.lower().startswith("time")
 
 
 def _checked(path: Path, time: np.ndarray, values: np.ndarray) -> list[str]:

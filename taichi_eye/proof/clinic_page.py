@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_eye.analysis.norms import ELDERLY_AGE_YEARS, POPULATIONS
-from taichi_eye.analysis.response import READ_AS
+from taichi_eye.analysis.response import READ_AS, SHOWN_IOP
 from taichi_eye.proof import clinic
 from taichi_eye.proof.dcr import FACTOR, PER_10_UM, PER_MMHG, SHOWN, Slope, Study
 from taichi_eye.proof.population import SimulatedEye
@@ -27,8 +27,10 @@ SOURCES = (
     *(f"{population.name}: {population.source}." for population in POPULATIONS.values()),
     "Slopes: over the 194 eyes, of what was measured on IOPnct, thickness and age; +- is the standard error. A1 time: "
     "by the bIOP formula's inverse, per mmHg of the eye's own pressure.",
-    "Pressures: IOPnct = 16.8 + (A1 time - 7.36)/0.134; bIOP = 19.98 + 0.885 IOPnct - 0.0306 CCT (um) - 0.0438 age, a "
-    f"fit to what the instrument showed on the 194 eyes (open data, R2 .98), here at {ELDERLY_AGE_YEARS:g} years.",
+    "Pressures: IOPnct = {:g} + (A1 time - {:g})/{:g}; bIOP = 19.98 + 0.885 IOPnct - 0.0306 CCT (um) - 0.0438 age, a "
+    "fit to what the instrument showed on the 194 eyes (open data, R2 .98), here at {:g} years.".format(
+        *SHOWN_IOP, ELDERLY_AGE_YEARS
+    ),
     "Donor corneas: PMC7415307. Stiffened donor sclerae: PMC7044755.",
     "Keratoconus: Tian et al. 2014, J Ophthalmol 147516.",
 )

@@ -69,13 +69,17 @@ def _parse(text: str) -> dict[str, Any]:
         raise ValueError("nested too deeply") from None
 
 
-def _read_file(draft: Draft, path: Path) -> None:
+def read_toml(path: Path) -> dict[str, Any]:
+    """What a user's TOML file holds; SceneError where it cannot be read or is malformed."""
     text = read_text(path)
     try:
-        content = _parse(text)
+        return _parse(text)
     except ValueError as error:
         raise SceneError(f"{path}: malformed TOML: {error}") from None
-    for section, table in content.items():
+
+
+def _read_file(draft: Draft, path: Path) -> None:
+    for section, table in read_toml(path).items():
         if not isinstance(table, dict):
             wanted = (
                 f"must be a table, [{section}]"

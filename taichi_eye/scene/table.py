@@ -13,7 +13,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -64,7 +64,7 @@ def read_table(path: Path, wanted: Sequence[str], mended: list[str] | None = Non
     is appended to it. Wanted columns that the header lacks are left out of the answer unless none is there; other
     columns are not read. Returns float64 arrays, shape [rows]. SceneError names file, line and value.
     """
-    header, delimiter, rows = _rows(path, wanted)
+    header, delimiter, rows = read_cells(path, lambda cell: _wanted(cell, wanted) is not None)
     columns = _columns(path, header, wanted, exact=mended is None)
     if mended is not None and rows and _is_units(rows[0][1], columns):
         columns = _with_units(path, rows.pop(0)[1], columns)
@@ -78,7 +78,7 @@ def read_table(path: Path, wanted: Sequence[str], mended: list[str] | None = Non
             blank += 1
             continue
         for name, text in texts.items():
-            table[name].append(_number(text, delimiter) * columns[name][1])
+            table[name].append(number(text, delimiter) * columns[name][1])
             if not math.isfinite(table[name][-1]):
                 raise SceneError(f'{path}: line {line}: {name} = "{text}"; a finite number is needed')
         times = table["time_ms"]
@@ -99,8 +99,12 @@ def read_table(path: Path, wanted: Sequence[str], mended: list[str] | None = Non
     return arrays
 
 
-def _rows(path: Path, wanted: Sequence[str]) -> tuple[list[str], str, list[tuple[int, list[str]]]]:
-    """The header, what separates its cells, and the rows under it with the numbers of their lines."""
+def read_cells(path: Path, known: Callable[[str], bool]) -> tuple[list[str], str, list[tuple[int, list[str]]]]:
+    """The header of a table, what separates its cells, and the rows under it with the numbers of their lines.
+
+    known: whether a cell of the header names a column that is looked for; the separator is the one by which most do.
+    SceneError where the file is empty or no table.
+    """
     text = read_text(path)
     first, _, rest = text.partition("\n")
     skipped, delimiter = 0, None
@@ -109,8 +113,9 @@ def _rows(path: Path, wanted: Sequence[str]) -> tuple[list[str], str, list[tuple
     if delimiter is None:
         lines = (line for line in re.split(r"\r\n|\n|\r", text) if line.strip() and not line.lstrip().startswith("#"))
         named = next(lines, "")
-        found = {mark: sum(_wanted(cell, wanted) is not None for cell in named.split(mark)) for mark in DELIMITERS}
-        delimiter = max(DELIMITERS, key=lambda mark: (found[mark], mark == ","))
+        cells = {mark: named.split(mark) for mark in DELIMITERS}
+        found = {mark: sum(known(cell.strip().strip('"')) for cell in cells[mark]) for mark in DELIMITERS}
+        delimiter = max(DELIMITERS, key=lambda mark: (found[mark], len(cells[mark]), mark == ","))
     rows: list[tuple[int, list[str]]] = []
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
     try:
@@ -120,7 +125,7 @@ def _rows(path: Path, wanted: Sequence[str]) -> tuple[list[str], str, list[tuple
     except csv.Error as error:
         raise SceneError(f"{path}: line {reader.line_num + skipped}: {error}") from None
     if not rows:
-        raise SceneError(f"{path}: is empty; a header and at least two rows of numbers are needed")
+        raise SceneError(f"{path}: is empty; a header and rows under it are needed")
     return rows.pop(0)[1], delimiter, rows
 
 
@@ -181,8 +186,8 @@ def _with_units(path: Path, cells: list[str], columns: dict) -> dict[str, tuple[
     return out
 
 
-def _number(text: str, delimiter: str) -> float:
-    """The value of a cell; NaN where it is no number."""
+def number(text: str, delimiter: str) -> float:
+    """The value of a cell, with a decimal comma where cells are separated otherwise; NaN where it is no number."""
     if delimiter != "," and re.fullmatch(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?|[+-]?\d+,", text):
         text = text.replace(",", ".")
     try:

@@ -8,7 +8,6 @@ grow with the number of eyes.
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -132,14 +131,6 @@ def write_tables(folder: Path, tables: Iterator[Any], schema) -> None:
         for table in tables:
             columns.write_table(table)
             lines.write_table(table)
-
-
-def write_rows(path: Path, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
-    """A small CSV file, whole or absent."""
-    with replacing(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
-        lines = csv.writer(file, lineterminator="\n")
-        lines.writerow(head)
-        lines.writerows(rows)
 
 
 def _first(problem: Exception) -> str:

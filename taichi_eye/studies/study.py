@@ -23,9 +23,7 @@ columns whose names have no dot are carried into the study's table as text.
 
 from __future__ import annotations
 
-import io
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -37,15 +35,11 @@ from taichi_eye import shipped
 from taichi_eye.errors import SceneError
 from taichi_eye.scene import Scene, load_scene
 from taichi_eye.scene.draft import nearest, written
+from taichi_eye.scene.load import read_toml
 from taichi_eye.scene.schema import AUTO, all_keys
-from taichi_eye.scene.table import DELIMITERS, read_text
+from taichi_eye.scene.table import number, read_cells
 from taichi_eye.studies.columns import FIGURES
 from taichi_eye.studies.laws import BadLaw, Choice, Follower, Law, read_law
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 EYES_MAX = 1_000_000
 SHOWN = ("deformation_amplitude_mm", "a1_time_ms", "a1_velocity_m_s", "peak_distance_mm")
@@ -142,13 +136,7 @@ def load_study(
     if isinstance(source, Mapping):
         return _Reader("study", Path(), source).study("study", scene, overrides)
     path = shipped.find(source, shipped.STUDIES)
-    try:
-        content = tomllib.loads(read_text(path))
-    except RecursionError:
-        raise SceneError(f"{path}: malformed TOML: nested too deeply") from None
-    except ValueError as error:
-        raise SceneError(f"{path}: malformed TOML: {error}") from None
-    return _Reader(str(path), path.parent, content).study(path.stem, scene, overrides)
+    return _Reader(str(path), path.parent, read_toml(path)).study(path.stem, scene, overrides)
 
 
 def of_plain(plain: Mapping[str, Any], base: Scene, name: str, keys: Sequence[str]) -> Study:
@@ -378,11 +366,11 @@ class _Reader:
     def _column(self, path: Path, name: str, cells) -> np.ndarray:
         kind, spec = self.known[name]
         values = []
-        for number, cell in enumerate(cells):
+        for row, cell in enumerate(cells):
             value = _cell(cell, kind)
             if value is None or not spec.holds(value):
                 said = f"{kind.__name__}, {spec.bounds()}" if spec.bounds() else kind.__name__
-                self.problems.append(f'{path}: row {number + 1}: {name} = "{cell}"; allowed is {said}')
+                self.problems.append(f'{path}: row {row + 1}: {name} = "{cell}"; allowed is {said}')
                 return np.zeros(len(cells))
             values.append(self._beside(value) if name == "puff.file" and value else value)
         return np.array(values, dtype=object if kind is str else None)
@@ -399,10 +387,7 @@ def _cell(cell: Any, kind: type) -> Any:
         return text
     if kind is bool:
         return {"true": True, "false": False}.get(text.lower())
-    try:
-        value = float(text.replace(",", "."))  # a decimal comma
-    except ValueError:
-        return None
+    value = number(text, ";")
     if not math.isfinite(value) or kind is int and value != int(value):
         return None
     return kind(value)
@@ -419,17 +404,15 @@ def read_eyes(path: Path):
             return pandas.read_parquet(path).astype(str)
         except Exception as error:  # what a damaged file raises depends on where it is damaged
             raise SceneError(f"{path}: cannot be read ({(str(error).splitlines() or [''])[0][:120]})") from None
-    text = read_text(path)
-    header = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
-    delimiter = max(DELIMITERS, key=lambda mark: (header.count(mark), mark == ","))
-    try:
-        frame = pandas.read_csv(
-            io.StringIO(text), sep=delimiter, dtype=str, keep_default_na=False, comment="#", skipinitialspace=True
-        )
-    except (ValueError, pandas.errors.ParserError) as error:
-        raise SceneError(f"{path}: cannot be read as a table ({(str(error).splitlines() or [''])[0][:120]})") from None
-    frame.columns = [str(name).strip() for name in frame.columns]
-    return frame
+    keys = {name for name, _, _ in all_keys()}
+    header, delimiter, rows = read_cells(path, keys.__contains__)
+    for line, cells in rows:
+        if len(cells) != len(header):
+            raise SceneError(f"{path}: line {line} has {len(cells)} values, the header {len(header)}")
+    if len(set(header)) < len(header):
+        twice = next(name for name in header if header.count(name) > 1)
+        raise SceneError(f"{path}: the header names {twice} more than once")
+    return pandas.DataFrame([cells for _, cells in rows], columns=header, dtype=str)
 
 
 def correlation_matrix(names: Sequence[str], correlations: Sequence[tuple[str, str, float]]) -> np.ndarray:

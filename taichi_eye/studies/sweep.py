@@ -25,7 +25,7 @@ from taichi_eye.errors import Interrupted, OutputError, SceneError
 from taichi_eye.provenance import provenance
 from taichi_eye.recording.signals import Signals
 from taichi_eye.recording.workroom import WorkRoom, program
-from taichi_eye.report.folder import Lock, claim_folder, refuse_taken, write_text
+from taichi_eye.report.folder import Lock, claim_folder, refuse_taken, write_rows, write_text
 from taichi_eye.report.folder import sweep as tidy
 from taichi_eye.scene import Scene, dump_scene
 from taichi_eye.scene.table import read_text
@@ -34,7 +34,7 @@ from taichi_eye.studies.crew import Crew
 from taichi_eye.studies.designs import Design, changes, count, draw
 from taichi_eye.studies.eyes import COMPUTE, common_of, parcel_of
 from taichi_eye.studies.needs import refuse_missing
-from taichi_eye.studies.shelf import Shelf, write_rows, write_tables
+from taichi_eye.studies.shelf import Shelf, write_tables
 from taichi_eye.studies.study import Study, load_study, of_plain, plain_scene, scene_of
 
 PROBED = 16  # eyes that are tried as scenes before anything is written

@@ -80,3 +80,14 @@ def test_a_table_of_analyze_is_one_row_and_iop_nct_is_a_time(tmp_path):
     path.write_text("IOPnct,DA,PD\n18.14,1.05,4.8\n")
     (row,), _ = read_rows(path)
     assert row.values["a1_time_ms"] == pytest.approx(7.36 + 0.134 * 1.34)
+
+
+@pytest.mark.parametrize("start", ["", "sep=;\n", "# exported\r\n"])
+def test_a_table_is_read_however_a_spreadsheet_wrote_it(start, tmp_path):
+    path = tmp_path / "eyes.txt"
+    text = start + 'eye;"DA (mm)";PD;A1T;remark\n#1;0;0;0;\ne1;1,05;4,8;7,4;a\u2028b, c\n'
+    for encoding in ("utf-8", "utf-8-sig", "utf-16"):
+        path.write_bytes(text.encode(encoding))
+        (row,), left_out = read_rows(path)
+        assert row.values == {"deformation_amplitude_mm": 1.05, "peak_distance_mm": 4.8, "a1_time_ms": 7.4}
+        assert row.label == "row 1 (e1)" and not left_out

@@ -151,6 +151,18 @@ def test_a_table_of_eyes_brings_its_rows_and_carries_its_labels(tmp_path):
         path.write_text(f"who;eye.iop_mmhg;chamber.sealed\na;12,5;true\nb;15;false\n{line}\n")
         with pytest.raises(SceneError, match=part):
             load_study(content)
+    for start in ("sep=;\n", "# from a spreadsheet\n"):
+        path.write_text(start + 'who;eye.iop_mmhg\n#a;b\n"c;d";12,5\n')
+        read = load_study(content)
+        assert list(read.labels["who"]) == ["c;d"] and changes(draw(read), 0) == {"eye.iop_mmhg": 12.5}
+    for text, part in (
+        ("who,eye.iop_mmhg\na,12,13\n", "line 2 has 3 values, the header 2"),
+        ("eye.iop_mmhg,eye.iop_mmhg\n12,13\n", "names eye.iop_mmhg more than once"),
+        ("who,eye.iop_mmhg\n", "has no rows"),
+    ):
+        path.write_text(text)
+        with pytest.raises(SceneError, match=part):
+            load_study(content)
     path.write_text("who;eye.iop\na;12\n")
     with pytest.raises(SceneError, match="column eye.iop is no key"):
         load_study(content)
