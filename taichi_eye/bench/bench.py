@@ -80,7 +80,8 @@ def report(
                 table(HEAD, [_cells(row) for row in rows], [i for i, row in enumerate(rows) if row.holds is False]),
                 *map(picture, figures),
             ]
-            write_page(folder / f"{command}.html", f"taichi-eye {command}", [f"<p>{plain(str(machine))}</p>", *shown])
+            head = f"<p>{plain(str(machine))}</p>"
+            write_page(folder / f"{command}.html", f"taichi-eye {command}", [head, *shown], markdown=True)
             if json_file:
                 every = {part: [row.as_dict() for row in rows] for part, rows in found.items()}
                 write_text(Path(json_file), json.dumps({"machine": machine, "parts": every}, indent=2) + "\n")

@@ -195,5 +195,5 @@ def write(chart: Chart, folder: Path, title: str) -> Path:
         )
     )
     page = folder / "chart.html"
-    write_page(page, title, parts)
+    write_page(page, title, parts, markdown=True)
     return page

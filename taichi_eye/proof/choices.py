@@ -201,6 +201,7 @@ def report(only=(), out: str | None = None, json_file: str | None = None, progre
         folder / "choices.html",
         "taichi-eye choices",
         [f"<p>{verdict}.</p>", table(HEAD, [row.cells() for row in rows], missed)],
+        markdown=True,
     )
     if json_file:
         write_text(

@@ -248,12 +248,12 @@ def write(study: Study, folder: Path) -> Path:
         canvas.savefig(temporary, format="png", metadata=png_metadata())
     parts = [f"<p>{plain(line)}</p>" for line in words(study)] + [picture(canvas)]
     for title, (head, body, failed) in tables(study).items():
-        parts.append(f"<h2>{plain(title)}</h2>{table(head, body, failed)}")
+        parts += [f"<h2>{plain(title)}</h2>", table(head, body, failed)]
     read = [[SHOWN[name], text] for name, text in READ_AS.items() if name in SHOWN]
-    parts.append(f"<h2>How each parameter is read</h2>{table(['parameter', 'definition'], read)}")
+    parts += ["<h2>How each parameter is read</h2>", table(["parameter", "definition"], read)]
     parts.append("<h2>Sources</h2><ul>" + "".join(f"<li>{plain(source)}</li>" for source in SOURCES) + "</ul>")
     page = folder / "clinic.html"
-    write_page(page, f"What a clinician would measure: {study.name}", parts)
+    write_page(page, f"What a clinician would measure: {study.name}", parts, markdown=True)
     return page
 
 

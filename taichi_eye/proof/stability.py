@@ -57,7 +57,7 @@ def report(
         figures[name] = {"found": here.found, "failed_in_silence": here.broken, **here.figures}
         broken += [f"{name}: {line}" for line in here.broken]
         # after every map: an interrupted study keeps what it has
-        write_page(folder / "stability.html", "taichi-eye stability", [_verdict(broken), *parts])
+        write_page(folder / "stability.html", "taichi-eye stability", [_verdict(broken), *parts], markdown=True)
         if json_file:
             write_text(Path(json_file), json.dumps(figures, indent=2, default=_number) + "\n")
     say(_verdict(broken).replace("<p>", "").replace("</p>", ""))

@@ -54,7 +54,7 @@ def report(
         parts += [picture(draw(figure)) for figure in figures]
     failed = sum(not row.passed for row in rows)
     verdict = f"{len(rows) - failed} of {len(rows)} rows passed" + (f", {failed} FAILED" if failed else "")
-    write_page(folder / "verify.html", "taichi-eye verify", [f"<p>{verdict}.</p>", *parts])
+    write_page(folder / "verify.html", "taichi-eye verify", [f"<p>{verdict}.</p>", *parts], markdown=True)
     if json_file:
         write_text(Path(json_file), json.dumps([row.as_dict() for row in rows], indent=2) + "\n")
     say(f"{verdict}; {folder / 'verify.html'}")

@@ -3,6 +3,7 @@
 import base64
 import html
 import io
+import re
 from pathlib import Path
 
 import numpy as np
@@ -66,13 +67,28 @@ def embedded(png: bytes) -> str:
     return f'<figure><img alt="" src="data:image/png;base64,{base64.b64encode(png).decode()}"></figure>'
 
 
-def table(head, body, failed=()) -> str:
+class Table(str):
+    """An HTML table that knows what stands in it: head and body, the words of its cells."""
+
+    def __new__(cls, text: str, head, body):
+        made = super().__new__(cls, text)
+        made.head, made.body = [str(cell) for cell in head], [[str(cell) for cell in row] for row in body]
+        return made
+
+    def markdown(self) -> str:
+        """The same as lines of Markdown."""
+        rows = [self.head, ["---"] * len(self.head), *self.body]
+        return "".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |\n" for row in rows)
+
+
+def table(head, body, failed=()) -> Table:
     """An HTML table; `failed`: indices of rows to mark."""
+    body = [list(row) for row in body]
     lines = ["<tr>" + "".join(f"<th>{html.escape(str(cell))}</th>" for cell in head) + "</tr>"]
     for index, row in enumerate(body):
         cells = "".join(f"<td{_numeric(cell)}>{html.escape(str(cell))}</td>" for cell in row)
         lines.append(f"<tr{' class=no' if index in failed else ''}>{cells}</tr>")
-    return "<table>" + "".join(lines) + "</table>"
+    return Table("<table>" + "".join(lines) + "</table>", head, body)
 
 
 def plain(text: str) -> str:
@@ -86,17 +102,33 @@ def _numeric(cell) -> str:
 
 def footer() -> str:
     """The last line of a page: what computed it, when, and by which command."""
+    return f"<footer>{plain(_origin())}</footer>"
+
+
+def _origin() -> str:
     told = provenance()
     by = f" by {told['command']}" if told["command"] else ""
-    return (
-        f"<footer>{plain(versions())}, {told['system']}, {told['threads']} threads, {told['date']}{plain(by)}</footer>"
-    )
+    return f"{versions()}, {told['system']}, {told['threads']} threads, {told['date']}{by}"
 
 
-def write_page(path: Path, title: str, parts: list[str]) -> None:
-    """Write the page; `parts`: HTML."""
+def write_page(path: Path, title: str, parts: list[str], markdown: bool = False) -> None:
+    """Write the page; `parts`: HTML. markdown: its tables beside it, too, as a file of Markdown with its origin."""
     write_text(
         path,
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title>"
         f"<style>{STYLE}</style><h1>{html.escape(title)}</h1>{''.join(parts)}{footer()}</html>\n",
     )
+    if markdown:
+        write_text(path.with_suffix(".md"), _as_markdown(title, parts))
+
+
+def _as_markdown(title: str, parts: list[str]) -> str:
+    """The tables of a page, each under the last heading before it."""
+    out, heading = [f"# {title}\n"], ""
+    for part in parts:
+        found = re.findall(r"<h2>(.*?)</h2>", part)
+        heading = html.unescape(found[-1]) if found else heading
+        if isinstance(part, Table):
+            out += ([f"## {heading}\n"] if heading else []) + [part.markdown()]
+            heading = ""
+    return "\n".join([*out, _origin() + "\n"])
