@@ -66,11 +66,14 @@ def embedded(png: bytes) -> str:
     return f'<figure><img alt="" src="data:image/png;base64,{base64.b64encode(png).decode()}"></figure>'
 
 
-def table(head, body, failed=()) -> str:
-    """An HTML table; `failed`: indices of rows to mark."""
+def table(head, body, failed=(), words=()) -> str:
+    """An HTML table; `failed`: indices of rows to mark; words: of columns that hold text, even where it begins with a
+    digit."""
     lines = ["<tr>" + "".join(f"<th>{html.escape(str(cell))}</th>" for cell in head) + "</tr>"]
     for index, row in enumerate(body):
-        cells = "".join(f"<td{_numeric(cell)}>{html.escape(str(cell))}</td>" for cell in row)
+        cells = "".join(
+            f"<td{'' if k in words else _numeric(cell)}>{html.escape(str(cell))}</td>" for k, cell in enumerate(row)
+        )
         lines.append(f"<tr{' class=no' if index in failed else ''}>{cells}</tr>")
     return "<table>" + "".join(lines) + "</table>"
 
