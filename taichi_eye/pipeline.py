@@ -1,9 +1,9 @@
 """From a scene to a run folder: simulate while observers look on (`taichi_eye.recording`), and resume what was cut off.
 
-The folder holds film.mp4, apex.png, sheet.png, traces.csv, wall.npz, summary.json and scene.toml; on request film.gif,
-the folder frames/ with a PNG per frame, and fields/ for ParaView. Every file appears whole or not at all. A run that a
-guard stops or a signal ends leaves the same files up to that time, and its summary says so. While it is under way, and
-after it was cut off by anything but a guard, the hidden folder .run holds what `resume` goes on from.
+The folder holds film.mp4, apex.png, sheet.png, report.html, traces.csv, wall.npz, summary.json and scene.toml; on
+request film.gif, the folder frames/ with a PNG per frame, and fields/ for ParaView. Every file appears whole or not at
+all. A run that a guard stops or a signal ends leaves the same files up to that time, and its summary says so. While it
+is under way, and after it was cut off by anything but a guard, the hidden folder .run holds what `resume` goes on from.
 """
 
 import json
@@ -16,6 +16,7 @@ import numpy as np
 from taichi_eye import backend
 from taichi_eye.errors import OutputError, RunStopped, SceneError
 from taichi_eye.film import EncoderError, ffmpeg
+from taichi_eye.film.file import FilmFile
 from taichi_eye.ladder.choose import choose
 from taichi_eye.ladder.rungs import needs_cloud, simulation_of
 from taichi_eye.recording.checkpoint import Checkpoint
@@ -24,7 +25,9 @@ from taichi_eye.recording.progress import Progress
 from taichi_eye.recording.signals import Signals
 from taichi_eye.recording.table import SINKS
 from taichi_eye.recording.workroom import WorkRoom, program
+from taichi_eye.report import result as page
 from taichi_eye.report.compare import Measured, read_measured
+from taichi_eye.report.dataframe import framed
 from taichi_eye.report.folder import Lock, claim_folder, refuse_taken, sweep, write_text
 from taichi_eye.report.traces import read_traces
 from taichi_eye.scene import Scene, dump_scene, load_scene
@@ -35,13 +38,33 @@ from taichi_eye.solver.case import cloud_of
 class RunResult:
     """What a run leaves: its folder, the summary as in summary.json, and the traces as arrays by column.
 
-    finished_before: whether there was nothing left to `resume`.
+    finished_before: whether there was nothing left to `resume`. A notebook shows it as its report.html.
     """
 
     folder: Path
     summary: dict
     traces: dict[str, np.ndarray]
     finished_before: bool = False
+
+    @property
+    def film(self) -> FilmFile:
+        """The film, which a notebook plays."""
+        return FilmFile(self.folder / "film.mp4")
+
+    def plot(self):
+        """The history of the apex under the load, as a matplotlib Figure."""
+        # matplotlib's figures are slow to load
+        from taichi_eye.report.plots import draw_apex
+
+        return draw_apex(self.traces)
+
+    def to_dataframe(self):
+        """The traces as a pandas DataFrame, a row a sample; the columns are those of traces.csv."""
+        return framed(self.traces)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: report.html, or a line where there is none."""
+        return page.read(self.folder) or page.paragraph(f"A run in {self.folder}, {self.summary.get('status')}.")
 
 
 def run(

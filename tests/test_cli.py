@@ -27,7 +27,7 @@ duration_ms = 2.5
 view = "scheimpflug"
 """
 MEASURED = "time_ms,deflection_mm\n" + "".join(f"{t},{0.002 * t * t}\n" for t in range(1, 6))
-ALWAYS = {"film.mp4", "apex.png", "sheet.png", "traces.csv", "wall.npz", "summary.json", "scene.toml"}
+ALWAYS = {"film.mp4", "apex.png", "sheet.png", "traces.csv", "wall.npz", "summary.json", "scene.toml", "report.html"}
 FRAMES = 11  # at 0, 0.2315, ... 2.315 ms
 
 

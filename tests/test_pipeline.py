@@ -15,7 +15,7 @@ from taichi_eye.recording.observer import Moment, Recording
 from taichi_eye.report.traces import read_traces
 
 TINY = ["numerics.spacing_mm=0.3", "numerics.sound_speed_m_s=15", "numerics.duration_ms=1.7"]
-ALWAYS = {"film.mp4", "apex.png", "sheet.png", "traces.csv", "wall.npz", "summary.json", "scene.toml"}
+ALWAYS = {"film.mp4", "apex.png", "sheet.png", "traces.csv", "wall.npz", "summary.json", "scene.toml", "report.html"}
 
 
 def names(folder):
@@ -183,7 +183,7 @@ def test_an_encoder_that_fails_loses_nothing_else(tmp_path, monkeypatch):
         patch.setenv("IMAGEIO_FFMPEG_EXE", str(script))
         with pytest.raises(OutputError, match=r"(?s)cannot encode today.*traces\.csv.*--resume"):
             taichi_eye.run(scene, tmp_path / "run")
-    assert {"traces.csv", "wall.npz", "summary.json", "scene.toml"} <= names(tmp_path / "run")
+    assert {"traces.csv", "wall.npz", "summary.json", "scene.toml", "report.html"} <= names(tmp_path / "run")
     assert len(read_traces(tmp_path / "run" / "traces.csv")["time_ms"]) > 1
     taichi_eye.resume(tmp_path / "run")
     assert names(tmp_path / "run") == ALWAYS and film_frames(tmp_path / "run" / "film.mp4") == 8

@@ -12,8 +12,9 @@ from taichi_eye.analysis.curves import Curves, curves_from_edges
 from taichi_eye.analysis.edges import Edges, find_edges
 from taichi_eye.analysis.frames import Film, read_film
 from taichi_eye.analysis.norms import NORMS, z_scores
-from taichi_eye.analysis.pictures import plot_page, write_overlay
+from taichi_eye.analysis.pictures import draw_page, write_overlay
 from taichi_eye.analysis.plausible import believed, refuse_what_is_no_cornea
+from taichi_eye.analysis.report import analysis_page
 from taichi_eye.analysis.response import (
     MOVED_MM,
     Histories,
@@ -24,9 +25,12 @@ from taichi_eye.analysis.response import (
     respond,
 )
 from taichi_eye.errors import FilmError
-from taichi_eye.film import EncoderError
+from taichi_eye.film import EncoderError, slim
 from taichi_eye.provenance import provenance
+from taichi_eye.report import result as page
+from taichi_eye.report.dataframe import framed
 from taichi_eye.report.folder import create_run_folder, refuse_taken, replacing, write_rows, write_text
+from taichi_eye.report.plots import png_of
 
 NAME_MAX = 100  # letters of the film's name in the folder's
 PRESSURE_MMHG, AGE_YEARS = (0.0, 100.0), (0.0, 130.0)
@@ -46,6 +50,32 @@ class Analysis:
     true_response: Response | None
     notes: tuple[str, ...]
     folder: Path | None = None
+
+    def plot(self):
+        """The page of plots, as a matplotlib Figure."""
+        return draw_page(self.film.name, self.curves, self.histories, self.response, self.true_histories)
+
+    def to_dataframe(self):
+        """The histories as a pandas DataFrame, a row a frame; the columns are those of histories.csv."""
+        return framed(self.columns())
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """The columns of histories.csv, arrays [frames]."""
+        history, thick = self.histories, self.curves.thickness_mm
+        return {
+            "time_ms": history.time_ms,
+            "apex_deformation_mm": history.apex_mm,
+            "apex_deflection_mm": history.apex_mm - history.whole_eye_mm,
+            "whole_eye_movement_mm": history.whole_eye_mm,
+            "apex_velocity_m_s": history.velocity_m_s,
+            "curvature_per_mm": history.curvature_per_mm,
+            "central_thickness_mm": thick if thick is not None else np.full(len(history.time_ms), np.nan),
+        }
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: report.html, or that page without a film where no files were written."""
+        written = page.read(self.folder) if self.folder is not None else None
+        return written or analysis_page(self, None, png_of(self.plot()))
 
 
 def analyze(
@@ -113,7 +143,7 @@ def _refuse_pressures(**given: float | None) -> None:
 
 
 def write_results(result: Analysis, folder: Path) -> None:
-    """parameters.csv and .json, histories.csv, edges.npz, overlay.mp4 and analysis.png into a folder."""
+    """parameters.csv and .json, histories.csv, edges.npz, overlay.mp4, analysis.png and report.html into a folder."""
     film, curves, history = result.film, result.curves, result.histories
     scores = z_scores(result.response)
     populations = list(NORMS)
@@ -143,16 +173,7 @@ def write_results(result: Analysis, folder: Path) -> None:
         "provenance": provenance(),
     }
     write_text(folder / "parameters.json", json.dumps(report, indent=2, allow_nan=False) + "\n")
-    thickness = curves.thickness_mm if curves.thickness_mm is not None else np.full(len(history.time_ms), np.nan)
-    columns = {
-        "time_ms": history.time_ms,
-        "apex_deformation_mm": history.apex_mm,
-        "apex_deflection_mm": history.apex_mm - history.whole_eye_mm,
-        "whole_eye_movement_mm": history.whole_eye_mm,
-        "apex_velocity_m_s": history.velocity_m_s,
-        "curvature_per_mm": history.curvature_per_mm,
-        "central_thickness_mm": thickness,
-    }
+    columns = result.columns()
     write_rows(
         folder / "histories.csv", list(columns), ([_figure(value) for value in row] for row in zip(*columns.values()))
     )
@@ -168,7 +189,10 @@ def write_results(result: Analysis, folder: Path) -> None:
             height_mm=curves.height_mm,
         )
     write_overlay(folder / "overlay.mp4", film.frames, film.time_ms, result.edges, curves, history, result.response)
-    plot_page(folder / "analysis.png", film.name, curves, history, result.response, result.true_histories)
+    plots = png_of(result.plot())
+    with replacing(folder / "analysis.png") as temporary:
+        temporary.write_bytes(plots)
+    page.write(folder / page.NAME, film.name, analysis_page(result, slim(folder / "overlay.mp4"), plots))
 
 
 def table(result: Analysis) -> str:

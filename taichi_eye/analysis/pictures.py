@@ -12,8 +12,6 @@ from taichi_eye.analysis.edges import Edges
 from taichi_eye.analysis.response import Histories, Response
 from taichi_eye.film import FilmWriter
 from taichi_eye.film.glyphs import glyph_atlas, stamp
-from taichi_eye.provenance import png_metadata
-from taichi_eye.report.folder import replacing
 
 ANTERIOR, POSTERIOR, AXIS = (80, 220, 255), (255, 176, 60), (110, 110, 130)
 SCALE = 2
@@ -80,11 +78,10 @@ def _draw(image: np.ndarray, at: np.ndarray, row: np.ndarray, colour: tuple[int,
         image[r[inside], good[inside]] = np.rint(mixed).astype(np.uint8)
 
 
-def plot_page(
-    path: Path, name: str, curves: Curves, history: Histories, response: Response, truth: Histories | None = None
-) -> None:
-    """Deformation and deflection, velocity, curvature, thickness, curves at the events, and the deflection map, as a
-    PNG."""
+def draw_page(
+    name: str, curves: Curves, history: Histories, response: Response, truth: Histories | None = None
+) -> Figure:
+    """Deformation and deflection, velocity, curvature, thickness, curves at the events, and the deflection map."""
     figure = Figure(figsize=(12.5, 10.5), dpi=110, layout="constrained")
     axes = figure.subplots(3, 2)
     time = history.time_ms
@@ -172,8 +169,8 @@ def plot_page(
         axis.spines[["top", "right"]].set_visible(False)
     da = response.deformation_amplitude_mm
     figure.suptitle(
-        f"{name}" + (f": deformation amplitude {da:.3f} mm" if da is not None else ": no deformation found"),
+        name.replace("$", r"\$")
+        + (f": deformation amplitude {da:.3f} mm" if da is not None else ": no deformation found"),
         fontsize=12,
     )
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format="png", facecolor="white", metadata=png_metadata())
+    return figure

@@ -74,4 +74,12 @@ def norms_table() -> str:
     return "\n".join([*rows, "", *who])
 
 
-FILLED = {"keys": keys_table, "norms": norms_table}
+def parameters_table() -> str:
+    """Every parameter by its column, full name and unit."""
+    from taichi_eye.analysis.names import NAMES, unit_of
+
+    rows = [f"| `{name}` | {said} | {unit_of(name)} |" for name, said in NAMES.items()]
+    return "\n".join(["| column | full name | unit |", "|---|---|---|", *rows])
+
+
+FILLED = {"keys": keys_table, "norms": norms_table, "parameters": parameters_table}

@@ -5,7 +5,7 @@ import numpy as np
 
 from taichi_eye.solver.workspace import capacity
 
-from .encoder import EncoderError, FilmWriter, ffmpeg, frame_name, shrunk, write_gif
+from .encoder import EncoderError, FilmWriter, ffmpeg, frame_name, shrunk, slim, write_gif
 from .particles import SMALLEST as SMALLEST_SECTION
 from .particles import Particles, section_size
 from .scheimpflug import SMALLEST as SMALLEST_FRAME
@@ -25,6 +25,7 @@ __all__ = [
     "ffmpeg",
     "frame_name",
     "shrunk",
+    "slim",
     "write_gif",
 ]
 

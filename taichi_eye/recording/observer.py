@@ -112,6 +112,11 @@ class Moment:
         )
 
 
+def picture(simulation) -> np.ndarray:
+    """The film's image of a simulation as it stands, uint8, in the view of its scene; nothing is recorded."""
+    return Moment(Recording(Path(), Path(), simulation.scene, simulation), 0).image
+
+
 @dataclass(frozen=True)
 class Ending:
     """How a run ended: its traces, the history of its apex, and what cut it short, None where it got to its end."""

@@ -21,11 +21,12 @@ class Summary(Observer):
 
     def closed(self, ending) -> None:
         recording = self.recording
-        recording.summary = summary = _summary(recording, ending)
+        recording.summary = summary = summary_of(recording, ending)
         write_text(recording.folder / "summary.json", json.dumps(summary, indent=2) + "\n")
 
 
-def _summary(recording, ending) -> dict:
+def summary_of(recording, ending) -> dict:
+    """What summary.json holds of a run that has ended."""
     traces, history, simulation = ending.traces, ending.history, recording.simulation
     clock = recording.clock | {"total_s": recording.elapsed_s()}
     load = summarise(traces["time_ms"], traces["puff_apex_kpa"])

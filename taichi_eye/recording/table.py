@@ -9,9 +9,10 @@ from taichi_eye.recording.film import Film
 from taichi_eye.recording.frames import Frames
 from taichi_eye.recording.gif import Gif
 from taichi_eye.recording.observer import Observer
+from taichi_eye.recording.report import Report
 from taichi_eye.recording.sheet import Sheet
 from taichi_eye.recording.summary import Summary
 from taichi_eye.recording.traces import Traces
 from taichi_eye.recording.wall import Wall
 
-SINKS: tuple[type[Observer], ...] = (Traces, Film, Wall, Frames, Fields, Apex, Sheet, Gif, Summary)
+SINKS: tuple[type[Observer], ...] = (Traces, Film, Wall, Frames, Fields, Apex, Sheet, Gif, Report, Summary)

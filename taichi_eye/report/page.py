@@ -81,12 +81,15 @@ class Table(str):
         return "".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |\n" for row in rows)
 
 
-def table(head, body, failed=()) -> Table:
-    """An HTML table; `failed`: indices of rows to mark."""
+def table(head, body, failed=(), words=()) -> Table:
+    """An HTML table; `failed`: indices of rows to mark; words: of columns that hold text, even where it begins with a
+    digit."""
     body = [list(row) for row in body]
     lines = ["<tr>" + "".join(f"<th>{html.escape(str(cell))}</th>" for cell in head) + "</tr>"]
     for index, row in enumerate(body):
-        cells = "".join(f"<td{_numeric(cell)}>{html.escape(str(cell))}</td>" for cell in row)
+        cells = "".join(
+            f"<td{'' if k in words else _numeric(cell)}>{html.escape(str(cell))}</td>" for k, cell in enumerate(row)
+        )
         lines.append(f"<tr{' class=no' if index in failed else ''}>{cells}</tr>")
     return Table("<table>" + "".join(lines) + "</table>", head, body)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -21,7 +22,12 @@ MARGIN_PX, CAPTION_PX, FRAME_WIDTH_MAX_PX = 14, 36, 800
 
 
 def plot_apex(path: Path, traces: Mapping[str, np.ndarray], measured: Measured | None = None) -> None:
-    """Draw the apex history with the load over it, after fig. 2 of Montanino, Angelillo and Pandolfi, as a PNG.
+    """`draw_apex` as a PNG."""
+    _save(draw_apex(traces, measured), path)
+
+
+def draw_apex(traces: Mapping[str, np.ndarray], measured: Measured | None = None) -> Figure:
+    """The apex history with the load over it, after fig. 2 of Montanino, Angelillo and Pandolfi.
 
     traces: time_ms, apex_displacement_mm and puff_apex_kpa, shape [samples]. The two scales put both peaks at the same
     height, so that lag and asymmetry show; the numbers written in are those of `summarise`.
@@ -77,7 +83,7 @@ def plot_apex(path: Path, traces: Mapping[str, np.ndarray], measured: Measured |
     for each in (axes, twin):
         each.spines["top"].set_visible(False)
     figure.legend(handles=lines, loc="outside upper center", ncols=len(lines), frameon=False, fontsize=9.5)
-    _save(figure, path)
+    return figure
 
 
 def _annotate(axes: Axes, here: History, push: History, span: tuple[float, float], tallest: float) -> None:
@@ -200,6 +206,13 @@ def plot_sheet(path: Path, frames: Sequence[tuple[float, np.ndarray]]) -> None:
     _save(figure, path)
 
 
+def png_of(figure: Figure) -> bytes:
+    """A figure as a PNG, the same bytes on every run."""
+    data = io.BytesIO()
+    figure.savefig(data, format="png", facecolor="white", metadata=png_metadata())
+    return data.getvalue()
+
+
 def _save(figure: Figure, path: Path) -> None:
     with replacing(path) as temporary:
-        figure.savefig(temporary, format="png", facecolor="white", metadata=png_metadata())
+        temporary.write_bytes(png_of(figure))

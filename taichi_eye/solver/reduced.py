@@ -341,6 +341,22 @@ class Reduced:
         """The model of the liquid in a line."""
         return self.words
 
+    def frame(self) -> np.ndarray:
+        """The film's image at the frame shown, once a run is over at its last one, uint8: grey [rows, columns] of the
+        slit, or RGB [rows, columns, 3] (camera.view)."""
+        # the film stands on the solver: it is loaded for whoever asks to see
+        from taichi_eye.recording.observer import picture
+
+        if self._next or not self.reached:
+            return picture(self)
+        sample, self._shown = self.sample, len(self.wall_mm[0]) - 1
+        self.sample = self._shown * self.clock.samples_per_frame
+        self.stepper.show(self.frames[self._shown], True)
+        try:
+            return picture(self)
+        finally:
+            self.sample = sample
+
     @property
     def traces(self) -> dict[str, np.ndarray]:
         """The traces up to the sample shown, one array per column."""

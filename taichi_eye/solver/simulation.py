@@ -130,6 +130,13 @@ class Simulation:
                 return self.traces
             self._record()
 
+    def frame(self) -> np.ndarray:
+        """The film's image now, uint8: grey [rows, columns] of the slit, or RGB [rows, columns, 3] (camera.view)."""
+        # the film stands on the solver: it is loaded for whoever asks to see
+        from taichi_eye.recording.observer import picture
+
+        return picture(self)
+
     def state(self) -> State:
         """All that evolves, at the present sample, by name; `restore` takes it up."""
         return self.batch.state()

@@ -14,11 +14,11 @@ in a table of exams, so that what was written for its exports reads ours.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
+from taichi_eye.analysis.names import unit_of
 from taichi_eye.analysis.response import READ_AS, Response
 from taichi_eye.scene.schema import all_keys
 
@@ -68,25 +68,6 @@ INSTRUMENT = {
     "biop_mmhg": "bIOP [mmHg]",
     "sp_a1_mmhg_mm": "SP A1",
 }
-UNITS = {
-    "per_mm": "1/mm",
-    "mmhg_mm": "mmHg/mm",
-    "m_s": "m/s",
-    "mm2": "mm^2",
-    "mmhg": "mmHg",
-    "kpa": "kPa",
-    "mm": "mm",
-    "um": "um",
-    "ms": "ms",
-}
-_UNIT = re.compile(rf"_({'|'.join(UNITS)})(?:_max)?$")
-_RATIO = "da_ratio_1mm", "da_ratio_2mm"
-
-
-def unit_of(name: str) -> str:
-    """Unit of a column; empty where it has none."""
-    found = None if name in _RATIO else _UNIT.search(name.replace("_max_kpa", "_kpa"))
-    return UNITS[found[1]] if found else ""
 
 
 def described(inputs: Iterable[str]) -> list[tuple[str, str, str, str]]:

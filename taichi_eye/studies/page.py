@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from taichi_eye.analysis.names import UNITS, unit_of
 from taichi_eye.report.folder import replacing
 from taichi_eye.report.page import COLOURS, embedded, plain, table, write_page
-from taichi_eye.studies.columns import UNITS, unit_of
 from taichi_eye.studies.matters import Effect
 from taichi_eye.studies.study import KINDS, Study
 

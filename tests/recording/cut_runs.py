@@ -106,6 +106,8 @@ class Reference:
                 continue
             if path.name == "summary.json":
                 assert json.loads(path.read_text())["status"] == "complete"
+            elif path.name == "report.html":  # tells of the day and the time that it took
+                assert path.read_text().endswith("</html>\n")
             elif path.name == "film.mp4":
                 np.testing.assert_array_equal(film(path), self.film)
             elif path.name == "fields.pvd":

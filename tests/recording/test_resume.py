@@ -24,7 +24,7 @@ from taichi_eye.report.traces import read_traces
 
 KILLS = int(os.environ.get("TAICHI_EYE_KILLS", 1))
 SIGNALS = int(os.environ.get("TAICHI_EYE_SIGNALS", 1))
-ALWAYS = {"film.mp4", "apex.png", "sheet.png", "traces.csv", "wall.npz", "summary.json", "scene.toml"}
+ALWAYS = {"film.mp4", "apex.png", "sheet.png", "traces.csv", "wall.npz", "summary.json", "scene.toml", "report.html"}
 _references: dict[str, Reference] = {}
 
 
