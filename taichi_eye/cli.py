@@ -261,7 +261,7 @@ def _add_analyze(commands) -> None:
     analyze.add_argument(
         "--table", metavar="FILE", help="one table of all exams, CSV or Parquet, a row each, in place of folders"
     )
-    options.take(analyze, "threads", "out", threads="with --table: exams read at a time")
+    options.take(analyze, "threads", "out", "quiet", threads="with --table: exams read at a time")
     for flag, unit, text in (
         ("--pixel-x-mm", "MM", "width of a pixel (default 0.015625)"),
         ("--pixel-y-mm", "MM", "height of a pixel (default 0.0165)"),
@@ -395,9 +395,9 @@ def _analyze(given) -> int:
         raise SceneError(f"{len(given.film)} exams: name the table that they go into, as in --table all.csv")
     from taichi_eye.analysis import analyze, table
 
-    kept = ("command", "do", "film", "out", "table", "threads")
+    kept = ("command", "do", "film", "out", "table", "threads", "quiet")
     options = {name: value for name, value in vars(given).items() if name not in kept}
-    result = analyze(given.film[0], given.out, **options)
+    result = analyze(given.film[0], given.out, progress=not given.quiet, **options)
     print(table(result))
     for note in result.notes:
         print(f"note: {note}")

@@ -108,12 +108,10 @@ class Command(argparse.ArgumentParser):
         return said
 
 
-def refuse_unwritable(json_file: str | None) -> None:
-    """SceneError where `--json` cannot be written, said before the minutes of work it would hold."""
-    if json_file is None:
+def refuse_unwritable(file: str | None, flag: str = "--json") -> None:
+    """SceneError where the file of a flag cannot be written, said before the minutes of work it would hold."""
+    if file is None:
         return
-    path = Path(json_file)
+    path = Path(file)
     if path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
-        raise SceneError(
-            f"--json {json_file}: cannot be written; name a file in an existing folder that may be written"
-        )
+        raise SceneError(f"{flag} {file}: cannot be written; name a file in an existing folder that may be written")

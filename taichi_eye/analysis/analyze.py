@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
 from taichi_eye.analysis.curves import Curves, curves_from_edges
 from taichi_eye.analysis.edges import Edges, find_edges
@@ -85,25 +87,49 @@ def analyze(
     iop_nct_mmhg: float | None = None,
     age_years: float | None = None,
     biop_mmhg: float | None = None,
+    progress: bool = False,
     **settings: float | None,
 ) -> Analysis:
     """Measure a film, a folder of images or a run.
 
     out: a new or empty folder for the results; None for renders/<name>-analysis-001, ... write: False for no files.
     biop_mmhg: pressure of the eye, for SP-A1; or iop_nct_mmhg and age_years, from which it is estimated with the
-    measured thickness. settings: fields of `Instrument` that differ from the defaults. Raises FilmError where nothing
-    can be read, before anything is written; SceneError for a bad output folder.
+    measured thickness. progress: a bar on the terminal. settings: fields of `Instrument` that differ from the defaults.
+    Raises FilmError where nothing can be read, before anything is written; SceneError for a bad output folder.
     """
     _refuse_pressures(iop_nct_mmhg=iop_nct_mmhg, age_years=age_years, biop_mmhg=biop_mmhg)
     if write:
         refuse_taken(out)
-    film = read_film(path, **settings)
+    with tqdm(total=3 + write, unit=" stages", disable=not progress, dynamic_ncols=True, leave=False) as bar:
+
+        def stage(name: str) -> None:
+            bar.update(bool(bar.desc))
+            bar.set_description_str(name)
+
+        stage("reading frames")
+        film = read_film(path, **settings)
+        result = _measure(path, film, biop_mmhg, iop_nct_mmhg, age_years, stage)
+        if not write:
+            return result
+        stage("drawing")
+        folder = create_run_folder(out, f"{film.name[:NAME_MAX]}-analysis")
+        try:
+            write_results(result, folder)
+        except (OSError, EncoderError) as error:
+            raise FilmError(f"{folder}: the results could not be written in full ({error})") from None
+    return Analysis(**{**vars(result), "folder": folder})
+
+
+def _measure(path, film: Film, biop_mmhg, iop_nct_mmhg, age_years, stage: Callable[[str], None]) -> Analysis:
+    """What the frames of a film show; stage: told what is done next."""
     pressure = biop_mmhg if biop_mmhg is not None else film.iop_mmhg
     interval = film.instrument.frame_interval_ms
     puff = measured_puff_mmhg
     if film.puff_mmhg is not None:
         puff = lambda t: float(np.interp(t, *film.puff_mmhg))  # noqa: E731
+    stage("finding edges")
     edges = find_edges(film.frames)
+    stage("measuring")
     try:
         curves = curves_from_edges(edges, film.time_ms, film.instrument)
         history = histories(curves)
@@ -124,15 +150,7 @@ def analyze(
     if film.truth is not None:
         true_history = histories(film.truth)
         true_response = respond(film.truth, interval, pressure, puff, ready=true_history)
-    result = Analysis(film, edges, curves, history, response, true_history, true_response, tuple(notes))
-    if not write:
-        return result
-    folder = create_run_folder(out, f"{film.name[:NAME_MAX]}-analysis")
-    try:
-        write_results(result, folder)
-    except (OSError, EncoderError) as error:
-        raise FilmError(f"{folder}: the results could not be written in full ({error})") from None
-    return Analysis(**{**vars(result), "folder": folder})
+    return Analysis(film, edges, curves, history, response, true_history, true_response, tuple(notes))
 
 
 def _refuse_pressures(**given: float | None) -> None:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import os
 import signal
 import sys
 from pathlib import Path
 
 from taichi_eye.errors import SceneError
-from taichi_eye.options import take
+from taichi_eye.options import refuse_unwritable, take
 
 SUFFIXES = ".csv", ".parquet"
 
@@ -91,8 +90,7 @@ def refuse_bad_table(path: str) -> None:
     table = Path(path)
     if table.suffix.lower() not in SUFFIXES:
         raise SceneError(f"--table {path}: must end in {' or '.join(SUFFIXES)}")
-    if table.is_dir() or not table.parent.is_dir() or not os.access(table.parent, os.W_OK):
-        raise SceneError(f"--table {path}: cannot be written; name a file in an existing folder that may be written")
+    refuse_unwritable(path, "--table")
 
 
 def analyze(given: argparse.Namespace) -> int:
@@ -102,9 +100,9 @@ def analyze(given: argparse.Namespace) -> int:
     refuse_bad_table(given.table)
     if given.out is not None:
         raise SceneError("--out: several exams go into one table and no folders; leave out --out or --table")
-    kept = ("command", "do", "film", "out", "table", "threads")
+    kept = ("command", "do", "film", "out", "table", "threads", "quiet")
     options = {name: value for name, value in vars(given).items() if name not in kept and value is not None}
-    counts, first = measure_all(given.film, Path(given.table), options, given.threads, progress=True)
+    counts, first = measure_all(given.film, Path(given.table), options, given.threads, progress=not given.quiet)
     if not counts["complete"]:
         print(f"taichi-eye: none of {len(given.film)} exams could be read; the first: {first}", file=sys.stderr)
         return 2
