@@ -136,6 +136,7 @@ def _add_checks(commands, listed: bool) -> None:
         ("stability", "map where the methods fail, with the theory drawn on", "time-step", False),
         ("films", "hold rendered frames against the instrument's, and their reading against the eyes", "optics", True),
         ("choices", 'put fidelity = "auto" to varied scenes: its true error and its cost', "short-puff", True),
+        ("scenes", "put scenes drawn at random to the loader and the solver", "pairs", True),
         ("bench", "measure how fast it is, each figure beside what is asked of it", "startup", True),
     ):
         proof = add(
