@@ -121,7 +121,7 @@ def test_summary_says_what_the_traces_say(first):
     assert summary["coupling_iterations"]["most"] == traces["coupling_iterations"].max()
     assert 0.6 < summary["cloud"]["smallest_gap"] < 1.0 and summary["cloud"]["largest_hole"] < 0.8
     assert summary["cloud"]["worst_stencil_condition"] > 1.0
-    assert summary["against"]["file"] == "measured.csv" and summary["against"]["rms_mm"] > 0.0
+    assert summary["against"]["file"] == "measured.csv" and summary["against"]["rms_difference_mm"] > 0.0
 
 
 def test_paraview_opens_every_frame_at_its_time(first):

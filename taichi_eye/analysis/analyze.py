@@ -35,6 +35,7 @@ from taichi_eye.report.folder import create_run_folder, refuse_taken, replacing,
 from taichi_eye.report.plots import png_of
 
 NAME_MAX = 100  # letters of the film's name in the folder's
+STAGES = "reading frames", "finding edges", "measuring", "drawing"
 PRESSURE_MMHG, AGE_YEARS = (0.0, 100.0), (0.0, 130.0)
 
 
@@ -100,10 +101,10 @@ def analyze(
     _refuse_pressures(iop_nct_mmhg=iop_nct_mmhg, age_years=age_years, biop_mmhg=biop_mmhg)
     if write:
         refuse_taken(out)
-    with tqdm(total=3 + write, unit=" stages", disable=not progress, dynamic_ncols=True, leave=False) as bar:
+    with tqdm(total=len(STAGES), unit=" stages", disable=not progress, dynamic_ncols=True, leave=False) as bar:
 
         def stage(name: str) -> None:
-            bar.update(bool(bar.desc))
+            bar.update(STAGES.index(name) - bar.n)
             bar.set_description_str(name)
 
         stage("reading frames")

@@ -51,7 +51,7 @@ def misfit(traces, reference) -> Misfit:
         half = 1.0
     else:
         half = (
-            max(abs(found.rise_time_ms - true.rise_time_ms), abs(found.fall_time_ms - true.fall_time_ms)) / true.fwhm_ms
+            max(abs(found.half_rise_ms - true.half_rise_ms), abs(found.half_fall_ms - true.half_fall_ms)) / true.fwhm_ms
         )
     return Misfit(
         *(

@@ -94,7 +94,7 @@ class Answer:
         """The answer as one flat row for tables."""
         m = self.measures
         row = {"study": self.case.study, "case": self.case.label, "value": self.case.value, "peak_mm": self.peak_mm}
-        names = ("peak_time_ms", "rise_time_ms", "fall_time_ms", "midpoint_ms", "centroid_ms")
+        names = ("peak_time_ms", "half_rise_ms", "half_fall_ms", "midpoint_ms", "centroid_ms")
         row |= {name: getattr(m, name) if m else None for name in names}
         row |= {f"delay_{name}_ms": self.delays.get(name) for name in ("midpoint", "centroid", "match", "peak")}
         row |= {
@@ -276,9 +276,9 @@ UNKNOWNS = "exponent", "stiffness", "thickness", "puff"  # studies of what an ex
 FEATURES: dict[str, Callable[[Answer], float]] = {
     "peak": lambda o: o.measures.peak,
     "half rise before the puff's centre": lambda o: (
-        measure(o.time_ms, o.load_kpa).midpoint_ms - o.measures.rise_time_ms
+        measure(o.time_ms, o.load_kpa).midpoint_ms - o.measures.half_rise_ms
     ),
-    "half fall after the puff's centre": lambda o: o.measures.fall_time_ms - measure(o.time_ms, o.load_kpa).midpoint_ms,
+    "half fall after the puff's centre": lambda o: o.measures.half_fall_ms - measure(o.time_ms, o.load_kpa).midpoint_ms,
     "inward speed": lambda o: o.measures.speed_in,
     "outward speed": lambda o: o.measures.speed_out,
 }

@@ -22,7 +22,7 @@ FINE_MS = 0.01  # spacing of the grid that histories are compared on
 class Measures:
     """Times in ms, values in the unit of the history, speeds in that unit per ms; the history must rise and fall.
 
-    peak, peak_time_ms: of a quartic fitted to the samples above 90 % of the peak. rise_time_ms, fall_time_ms: at half
+    peak, peak_time_ms: of a quartic fitted to the samples above 90 % of the peak. half_rise_ms, half_fall_ms: at half
     the peak; midpoint_ms: midway between them. centroid_ms, skewness: of what stands above 10 % of the peak.
     speed_in, speed_out: largest rise and fall over 0.2 ms. fall_to_rise: (fall - peak)/(peak - rise).
     speed_ratio: speed_out / speed_in. odd_share: rms of the odd part about the midpoint over the rms of the whole.
@@ -30,8 +30,8 @@ class Measures:
 
     peak: float
     peak_time_ms: float
-    rise_time_ms: float
-    fall_time_ms: float
+    half_rise_ms: float
+    half_fall_ms: float
     centroid_ms: float
     skewness: float
     speed_in: float
@@ -40,11 +40,11 @@ class Measures:
 
     @property
     def midpoint_ms(self) -> float:
-        return 0.5 * (self.rise_time_ms + self.fall_time_ms)
+        return 0.5 * (self.half_rise_ms + self.half_fall_ms)
 
     @property
     def fall_to_rise(self) -> float:
-        return (self.fall_time_ms - self.peak_time_ms) / (self.peak_time_ms - self.rise_time_ms)
+        return (self.half_fall_ms - self.peak_time_ms) / (self.peak_time_ms - self.half_rise_ms)
 
     @property
     def speed_ratio(self) -> float:

@@ -36,7 +36,7 @@ def summary_of(recording, ending) -> dict:
     apex = {
         **asdict(history),
         "fwhm_ms": history.fwhm_ms,
-        "asymmetry": history.asymmetry,
+        "fall_to_rise": history.fall_to_rise,
         "delay_to_puff_ms": history.peak_time_ms - load.peak_time_ms if history.peak > 0 else None,
     }
     summary = {

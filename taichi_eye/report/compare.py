@@ -100,9 +100,9 @@ def differences(time_ms: ArrayLike, displacement_mm: ArrayLike, measured: Measur
         return None if None in pair else pair[0] - pair[1]
 
     return {
-        "peak_mm": less("peak"),
-        "peak_time_ms": less("peak_time_ms"),
-        "rise_time_ms": less("rise_time_ms"),
-        "fall_time_ms": less("fall_time_ms"),
-        "rms_mm": float(np.sqrt(np.mean(off**2))) if inside.any() else None,
+        "peak_difference_mm": less("peak"),
+        "peak_time_difference_ms": less("peak_time_ms"),
+        "half_rise_difference_ms": less("half_rise_ms"),
+        "half_fall_difference_ms": less("half_fall_ms"),
+        "rms_difference_mm": float(np.sqrt(np.mean(off**2))) if inside.any() else None,
     }

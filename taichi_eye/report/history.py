@@ -12,27 +12,27 @@ from numpy.typing import ArrayLike
 class History:
     """Summary of a history; times in ms, None where the history does not get there or never leaves zero.
 
-    peak, peak_time_ms: of the parabola through the highest sample and its neighbours. rise_time_ms, fall_time_ms: last
+    peak, peak_time_ms: of the parabola through the highest sample and its neighbours. half_rise_ms, half_fall_ms: last
     upward crossing of half the peak before it, first downward one after it, linear between samples. fwhm_ms: fall less
-    rise. asymmetry: (fall - peak time)/(peak time - rise), 1 if symmetric.
+    rise. fall_to_rise: (fall - peak time)/(peak time - rise), 1 if symmetric.
     """
 
     peak: float
     peak_time_ms: float
-    rise_time_ms: float | None
-    fall_time_ms: float | None
+    half_rise_ms: float | None
+    half_fall_ms: float | None
 
     @property
     def fwhm_ms(self) -> float | None:
-        if self.rise_time_ms is None or self.fall_time_ms is None:
+        if self.half_rise_ms is None or self.half_fall_ms is None:
             return None
-        return self.fall_time_ms - self.rise_time_ms
+        return self.half_fall_ms - self.half_rise_ms
 
     @property
-    def asymmetry(self) -> float | None:
-        if self.rise_time_ms is None or self.fall_time_ms is None:
+    def fall_to_rise(self) -> float | None:
+        if self.half_rise_ms is None or self.half_fall_ms is None:
             return None
-        return (self.fall_time_ms - self.peak_time_ms) / (self.peak_time_ms - self.rise_time_ms)
+        return (self.half_fall_ms - self.peak_time_ms) / (self.peak_time_ms - self.half_rise_ms)
 
 
 def summarise(time_ms: ArrayLike, values: ArrayLike) -> History:

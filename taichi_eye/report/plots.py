@@ -120,7 +120,7 @@ def _annotate(axes: Axes, here: History, push: History, span: tuple[float, float
     if not turned:
         return
     half = 0.5 * here.peak
-    for time, side, shift in ((here.rise_time_ms, "left", 6), (here.fall_time_ms, "right", -6)):
+    for time, side, shift in ((here.half_rise_ms, "left", 6), (here.half_fall_ms, "right", -6)):
         if time is None:
             continue
         axes.plot([time, time], [0, half], color=APEX, linewidth=0.9, linestyle=":")
@@ -129,14 +129,14 @@ def _annotate(axes: Axes, here: History, push: History, span: tuple[float, float
     if here.fwhm_ms is not None:
         axes.annotate(
             "",
-            (here.rise_time_ms, half),
-            (here.fall_time_ms, half),
+            (here.half_rise_ms, half),
+            (here.half_fall_ms, half),
             zorder=4,
             arrowprops={"arrowstyle": "<->", "color": APEX, "linewidth": 0.9, "shrinkA": 5, "shrinkB": 5},
         )
-        middle = 0.5 * (here.rise_time_ms + here.fall_time_ms)
+        middle = 0.5 * (here.half_rise_ms + here.half_fall_ms)
         axes.annotate(
-            f"width {here.fwhm_ms:.2f} ms\nfall : rise {here.asymmetry:.2f}",
+            f"width {here.fwhm_ms:.2f} ms\nfall : rise {here.fall_to_rise:.2f}",
             (middle, half),
             (0, -5),
             textcoords="offset points",
@@ -150,7 +150,7 @@ def _annotate(axes: Axes, here: History, push: History, span: tuple[float, float
 def _describe(measured: Measured) -> str:
     """Peak and half-height times of a measured history in two lines."""
     there = summarise(measured.time_ms, measured.displacement_mm)
-    halves = [f"{time:.2f}" for time in (there.rise_time_ms, there.fall_time_ms) if time is not None]
+    halves = [f"{time:.2f}" for time in (there.half_rise_ms, there.half_fall_ms) if time is not None]
     text = f"measured: peak {there.peak:.3f} mm at {there.peak_time_ms:.2f} ms"
     return text + (f"\n50 % at {' and '.join(halves)} ms" if halves else "")
 
@@ -165,7 +165,7 @@ def sheet_times(history: History, end_ms: float) -> list[float]:
 
     history: of the apex. Evenly spaced times where it has no half heights.
     """
-    rise, top, fall = history.rise_time_ms, history.peak_time_ms, history.fall_time_ms
+    rise, top, fall = history.half_rise_ms, history.peak_time_ms, history.half_fall_ms
     if rise is None or fall is None:
         return [end_ms * i / 5 for i in range(6)]
     return [0.0, rise, 0.5 * (rise + top), top, fall, end_ms]

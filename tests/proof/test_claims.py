@@ -49,8 +49,8 @@ def test_two_half_gaussians():
     m = measure(TIME, 1.3 * gaussian(14.0, 3.0, 4.5))
     half = math.sqrt(2.0 * math.log(2.0))
     assert m.peak == pytest.approx(1.3, rel=2e-3)
-    assert m.rise_time_ms == pytest.approx(14.0 - 3.0 * half, abs=0.01)
-    assert m.fall_time_ms == pytest.approx(14.0 + 4.5 * half, abs=0.01)
+    assert m.half_rise_ms == pytest.approx(14.0 - 3.0 * half, abs=0.01)
+    assert m.half_fall_ms == pytest.approx(14.0 + 4.5 * half, abs=0.01)
     assert m.midpoint_ms == pytest.approx(14.0 + 0.75 * half, abs=0.01)
     assert m.fall_to_rise == pytest.approx(1.5, abs=0.1)  # a quartic rounds the jump of the curvature at the peak
     assert m.speed_ratio == pytest.approx(3.0 / 4.5, rel=2e-3)

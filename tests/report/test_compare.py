@@ -66,18 +66,18 @@ def test_differences(tmp_path):
     measured = read_measured(path)
     assert all(abs(v) < 1e-12 for v in differences(t, hump(t, 0.8, 14.0), measured).values())
     off = differences(t, hump(t, 1.0, 15.0), measured)
-    assert off["peak_mm"] == pytest.approx(0.2, abs=1e-6)
-    for name in ("peak_time_ms", "rise_time_ms", "fall_time_ms"):
+    assert off["peak_difference_mm"] == pytest.approx(0.2, abs=1e-6)
+    for name in ("peak_time_difference_ms", "half_rise_difference_ms", "half_fall_difference_ms"):
         assert off[name] == pytest.approx(1.0, abs=1e-3)
     shifted = differences(t, hump(t, 0.8, 14.0) + 0.05, measured)
-    assert shifted["rms_mm"] == pytest.approx(0.05, rel=1e-9)
+    assert shifted["rms_difference_mm"] == pytest.approx(0.05, rel=1e-9)
 
 
 def test_histories_that_do_not_overlap_or_finish(tmp_path):
     path = tmp_path / "m.csv"
     path.write_text("time_ms,deflection_mm\n40,0.1\n41,0.2\n")
     off = differences([0, 1, 2], [0, 0.1, 0.2], read_measured(path))
-    assert off["rms_mm"] is None and off["fall_time_ms"] is None
+    assert off["rms_difference_mm"] is None and off["half_fall_difference_ms"] is None
 
 
 def written(path, text, encoding="utf-8"):

@@ -11,7 +11,7 @@ def test_triangle():
     history = summarise(t, np.minimum(t / 10, (40 - t) / 30))
     lift = history.peak - 1  # of the parabola over the tip: less than half a step of the flanks
     assert 0 < lift < 0.5 * 0.5 / 10
-    assert (history.rise_time_ms, history.fall_time_ms) == pytest.approx((5 + 5 * lift, 25 - 15 * lift), rel=1e-12)
+    assert (history.half_rise_ms, history.half_fall_ms) == pytest.approx((5 + 5 * lift, 25 - 15 * lift), rel=1e-12)
 
 
 def test_parabola_is_exact_between_samples_of_any_spacing():
@@ -26,27 +26,27 @@ def test_gaussian():
     assert history.peak == pytest.approx(0.9, rel=1e-7)
     assert history.peak_time_ms == pytest.approx(14.8, abs=1e-4)
     assert history.fwhm_ms == pytest.approx(2 * 4.0 * np.sqrt(2 * np.log(2)), abs=1e-4)
-    assert history.asymmetry == pytest.approx(1.0, abs=1e-4)
+    assert history.fall_to_rise == pytest.approx(1.0, abs=1e-4)
 
 
 def test_skewed_hump():
     t = np.linspace(0, 40, 4001)
     left, right = np.exp(-np.log(2) * ((t - 15) / 5) ** 2), np.exp(-np.log(2) * ((t - 15) / 6) ** 2)
     history = summarise(t, np.where(t < 15, left, right))
-    assert (history.rise_time_ms, history.fall_time_ms) == pytest.approx((10, 21), abs=1e-4)
-    assert history.asymmetry == pytest.approx(1.2, abs=1e-3)
+    assert (history.half_rise_ms, history.half_fall_ms) == pytest.approx((10, 21), abs=1e-4)
+    assert history.fall_to_rise == pytest.approx(1.2, abs=1e-3)
 
 
 def test_the_crossings_next_to_the_peak_count():
     history = summarise(range(9), [0, 0.6, 0.2, 1, 1, 1, 0.2, 0.6, 0])
-    assert 2 < history.rise_time_ms < 3 and 5 < history.fall_time_ms < 6
+    assert 2 < history.half_rise_ms < 3 and 5 < history.half_fall_ms < 6
 
 
 def test_unfinished_flat_and_inverted_histories():
     rising = summarise([0, 1, 2], [0, 1, 2])
-    assert (rising.peak, rising.peak_time_ms, rising.rise_time_ms) == (2, 2, 1)
-    assert rising.fall_time_ms is rising.fwhm_ms is rising.asymmetry is None
+    assert (rising.peak, rising.peak_time_ms, rising.half_rise_ms) == (2, 2, 1)
+    assert rising.half_fall_ms is rising.fwhm_ms is rising.fall_to_rise is None
     for values in ([0, 0, 0], [-1, -1, -2], [-3, -2, -1]):
         still = summarise([0, 1, 2], values)
-        assert still.rise_time_ms is still.fall_time_ms is still.asymmetry is None
+        assert still.half_rise_ms is still.half_fall_ms is still.fall_to_rise is None
     assert summarise([3], [1]).peak == 1

@@ -17,8 +17,8 @@ def test_apex_history_agrees_with_independent_solutions(whole_run):
     history = summarise(whole_run["time_ms"], whole_run["apex_displacement_mm"])
     assert history.peak == pytest.approx(PEAK_MM, rel=0.03)
     # half-height at 9.40 and 20.66 ms
-    assert history.rise_time_ms == pytest.approx(9.40, abs=0.15)
-    assert history.fall_time_ms == pytest.approx(20.66, abs=0.15)
+    assert history.half_rise_ms == pytest.approx(9.40, abs=0.15)
+    assert history.half_fall_ms == pytest.approx(20.66, abs=0.15)
     assert abs(whole_run["apex_displacement_mm"][-1]) < 0.01
     assert whole_run["cornea_min_stress_kpa"].min() > 5.0
 

@@ -29,7 +29,7 @@ def sound_speed(say=print) -> Map:
     speeds = np.array(sorted(sound))
     peaks = np.array([sound[c].apex.peak for c in speeds])
     rises, falls = (
-        np.array([getattr(sound[c].apex, name) for c in speeds]) for name in ("rise_time_ms", "fall_time_ms")
+        np.array([getattr(sound[c].apex, name) for c in speeds]) for name in ("half_rise_ms", "half_fall_ms")
     )
     stiff = speeds >= FIT
     laws = {
@@ -109,8 +109,8 @@ def sound_speed(say=print) -> Map:
         f"{laws['rise'][1]:.3f} and {laws['fall'][1]:.3f} ms (9.40, 20.66).",
         "Below about 10 m/s the numbers are those of a compliant chamber, not of an eye: "
         f"{sound[speeds[0]].apex.peak:.2f} mm at "
-        f"c {speeds[0]:g}, half heights {sound[speeds[0]].apex.rise_time_ms - laws['rise'][1]:+.1f} and "
-        f"{sound[speeds[0]].apex.fall_time_ms - laws['fall'][1]:+.1f} ms off. No guard "
+        f"c {speeds[0]:g}, half heights {sound[speeds[0]].apex.half_rise_ms - laws['rise'][1]:+.1f} and "
+        f"{sound[speeds[0]].apex.half_fall_ms - laws['fall'][1]:+.1f} ms off. No guard "
         "speaks, since c is the user's choice of compliance; the volume error in the traces shows it.",
         *stops,
     ]
@@ -119,8 +119,8 @@ def sound_speed(say=print) -> Map:
         (
             f"{c:g}",
             f"{each.apex.peak:.4f}",
-            f"{each.apex.rise_time_ms:.3f}",
-            f"{each.apex.fall_time_ms:.3f}",
+            f"{each.apex.half_rise_ms:.3f}",
+            f"{each.apex.half_fall_ms:.3f}",
             f"{np.abs(each.traces['chamber_volume_error']).max():.2e}",
             str(each.steps),
             f"{each.solver_s:.1f}",
