@@ -1,11 +1,11 @@
 """The command line: `taichi-eye run SCENE`, `scene`, `analyze FILM`, `estimate DATA`, `sweep STUDY`, `docs PAGE`, and
 the proofs, `check NAME`: `verify`, `stability`, `chart`, `choices`, `claims`, `films`, `clinic`, `fit-clinic`,
-`estimates`, `bench`, each a command by itself as well. Every command is a thin call of a public function; arguments
-that several share are in `options`.
+`estimates`, `scenes`, `bench`, each a command by itself as well. Every command is a thin call of a public function;
+arguments that several share are in `options`.
 
 Exit status: 0 done; 1 the run left its validity and was stopped (what was computed so far is in the run folder), or a
-row of `verify`, `films`, `estimates`, `choices` or `bench` does not hold, or a file or standard output could not be
-written; 2 bad input, nothing written; 130 interrupted, 143 ended by SIGTERM, 129 by SIGHUP.
+row of `verify`, `films`, `estimates`, `choices`, `scenes` or `bench` does not hold, or a file or standard output could
+not be written; 2 bad input, nothing written; 130 interrupted, 143 ended by SIGTERM, 129 by SIGHUP.
 """
 
 import argparse
@@ -18,6 +18,13 @@ from taichi_eye import backend, console, docs, options, provenance, shipped
 from taichi_eye.errors import FilmError, OutputError, RunStopped, SceneError
 from taichi_eye.estimation import command as estimates
 from taichi_eye.studies import command as sweeps
+
+# what a command that was interrupted leaves, and the command that goes on with it
+CUT_OFF = {
+    "run": ("what was computed so far is", "run"),
+    "sweep": ("the eyes that are finished are", "sweep"),
+    "chart": ("the points so far are", "check chart"),
+}
 
 
 def parser() -> argparse.ArgumentParser:
@@ -39,8 +46,8 @@ def parser() -> argparse.ArgumentParser:
     _add_docs(commands)
     check = commands.add_parser(
         "check",
-        help="prove and measure: verify, stability, chart, choices, claims, films, clinic, fit-clinic, estimates and "
-        "bench",
+        help="prove and measure: verify, stability, chart, choices, claims, films, clinic, fit-clinic, estimates, "
+        "scenes and bench",
         description="The proofs: each runs the program against what is known and writes a table and a page.",
         examples=("taichi-eye check verify --only squeeze", "taichi-eye check films --json films.json"),
     )
@@ -300,10 +307,10 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"taichi-eye: {where}{error.strerror or error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt as error:
-        folder = getattr(error, "folder", None)
-        where = (
-            f"; what was computed so far is in {folder}, go on with: taichi-eye run --resume {folder}" if folder else ""
-        )
+        folder, where = getattr(error, "folder", None), ""
+        if folder is not None:
+            kept, command = CUT_OFF[given.command]
+            where = f"; {kept} in {folder}, go on with: taichi-eye {command} --resume {folder}"
         print(f"taichi-eye: {error if str(error) else 'interrupted'}{where}", file=sys.stderr)
         return 128 + getattr(error, "number", signal.SIGINT)
 
@@ -483,10 +490,9 @@ def _chart(given) -> int:
 
         try:
             charted = chart.measure(scene, folder, points, given.budget, tell)
-        except KeyboardInterrupt:
-            bar.close()
-            print(f"taichi-eye: interrupted; go on with --resume {folder}", file=sys.stderr)
-            return 130
+        except KeyboardInterrupt as reason:
+            reason.folder = folder
+            raise
     page = chart_page.write(charted, folder, f"taichi-eye chart {given.scene or ''}")
     if given.json:
         write_text(Path(given.json), (folder / "chart.json").read_text(encoding="utf-8"))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 from pathlib import Path
 
@@ -54,23 +53,15 @@ def run(given: argparse.Namespace) -> int:
         raise SceneError(
             f"--threads {given.threads}: are those of this machine; with --scheduler the workers say theirs"
         )
-    try:
-        if given.resume is not None:
-            others = {"a study": given.study, "--set": given.overrides, "--out": given.out}
-            if beside := [name for name, value in others.items() if value]:
-                raise SceneError(
-                    f"--resume {given.resume}: goes on as the study began, so leave out {', '.join(beside)}"
-                )
-            result = resume(given.resume, **options)
-        elif given.study is None:
-            raise SceneError("sweep needs a study file, as in taichi-eye sweep configs/studies/iop_chart.toml")
-        else:
-            result = sweep(given.study, given.out, overrides=given.overrides, **options)
-    except KeyboardInterrupt as reason:
-        folder = getattr(reason, "folder", None)
-        told = f"; the eyes that are finished are in {folder}, go on with: taichi-eye sweep --resume {folder}"
-        print(f"taichi-eye: {str(reason) or 'interrupted'}{told if folder else ''}", file=sys.stderr)
-        return 128 + getattr(reason, "number", signal.SIGINT)
+    if given.resume is not None:
+        others = {"a study": given.study, "--set": given.overrides, "--out": given.out}
+        if beside := [name for name, value in others.items() if value]:
+            raise SceneError(f"--resume {given.resume}: goes on as the study began, so leave out {', '.join(beside)}")
+        result = resume(given.resume, **options)
+    elif given.study is None:
+        raise SceneError("sweep needs a study file, as in taichi-eye sweep configs/studies/iop_chart.toml")
+    else:
+        result = sweep(given.study, given.out, overrides=given.overrides, **options)
     if result.finished_before:
         print(f"{result.folder}: this study was finished already")
     status, took = result.summary["status"], result.summary["wall_clock"]
