@@ -9,6 +9,7 @@ written; 2 bad input, nothing written; 130 interrupted, 143 ended by SIGTERM, 12
 """
 
 import argparse
+import math
 import signal
 import sys
 from importlib import import_module
@@ -333,12 +334,42 @@ def _run(given) -> int:
         return 1
     for warning in result.summary["warnings"]:
         print(f"warning: {warning}")
-    apex, whole = (result.summary[name] for name in ("apex_displacement_mm", "apex_deformation_mm"))
-    said = f"apex deflection {apex['peak']:.3f} mm at {apex['peak_time_ms']:.2f} ms"
-    if whole["peak"] != apex["peak"]:
-        said += f", deformation {whole['peak']:.3f} mm at {whole['peak_time_ms']:.2f} ms"
+    if "numerical_error" in result.summary:
+        for line in _with_errors(result.summary):
+            print(line)
+    said = f"apex deflection {_peak(result.summary, 'apex_displacement_mm')}"
+    if result.summary["apex_deformation_mm"]["peak"] != result.summary["apex_displacement_mm"]["peak"]:
+        said += f", deformation {_peak(result.summary, 'apex_deformation_mm')}"
     print(f"{result.folder}: {said}, {result.summary['wall_clock']['total_s']:.1f} s")
     return 0
+
+
+def _peak(summary: dict, name: str) -> str:
+    """A peak and its time, with their numerical errors where they are stated."""
+    peak, time = summary[name]["peak"], summary[name]["peak_time_ms"]
+    if "numerical_error" not in summary:
+        return f"{peak:.3f} mm at {time:.2f} ms"
+    errors = summary["numerical_error"][name]
+    return f"{_with_error(peak, errors['peak'])} mm at {_with_error(time, errors['peak_time_ms'])} ms"
+
+
+def _with_errors(summary: dict) -> list[str]:
+    """A table of the clinical parameters: value, numerical error, extrapolated value."""
+    lines = [f"{'parameter':34}{'computed':>12}{'num. error':>12}{'extrapolated':>14}"]
+    errors, limits = (summary[kind]["response"] for kind in ("numerical_error", "extrapolated"))
+    for name, value in summary["response"].items():
+        if value is not None and errors[name] is not None:
+            limit = "-" if limits[name] is None else f"{limits[name]:.5g}"
+            lines.append(f"{name:34}{value:>12.5g}{errors[name]:>12.2g}{limit:>14}")
+    return lines if len(lines) > 1 else []
+
+
+def _with_error(value: float, error: float | None) -> str:
+    """A value to two figures of its error, as in 0.9670 +- 0.0016."""
+    if error is None:
+        return f"{value:.3f}"
+    digits = min(max(2 - math.ceil(math.log10(error)), 0), 9) if error > 0.0 else 3
+    return f"{value:.{digits}f} +- {error:.{digits}f}"
 
 
 def _scene(given) -> int:

@@ -1,0 +1,143 @@
+"""The numerical error of a run's apex history and of every figure read from it, by its coarser twin.
+
+estimate    share times run less twin (`taichi_eye.ladder.twin`), at each instant, and each place of the curves; run
+            plus estimate is Richardson's limit, "extrapolated".
+band        of the history: SAFETY times the largest estimate within NEAR_MS, for where two runs cross their difference
+            tells nothing; at least LEAST_SHARE of the largest band.
+bar         of a figure: how far it moves where SAFETY times the estimate is added to what it is read from: in its own
+            place, EARLY_MS early and as much late, whichever moves it most, for a figure that the estimate happens to
+            leave where it is would seem exact. The step of the grid that the figure is looked for on is added.
+
+A bar is numerical error alone: how far the run is from its own rung's limit of no spacing and infinite sound speed. The
+error of the model is not in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d
+
+from taichi_eye.analysis.response import READS_TO, Response
+from taichi_eye.analysis.simulated import Observed
+from taichi_eye.ladder.twin import Twin
+from taichi_eye.report.history import summarise
+from taichi_eye.units import MM, MS
+
+SAFETY = 2.0
+NEAR_MS, LEAST_SHARE = 1.5, 0.05
+EARLY_MS = 0.6
+
+Figures = dict[str, float | None]
+
+
+@dataclass(frozen=True)
+class Bars:
+    """Figures by name: their values, error bars and extrapolated values; None where the eye does not show one."""
+
+    values: Figures = field(default_factory=dict)
+    errors: Figures = field(default_factory=dict)
+    extrapolated: Figures = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ErrorBar:
+    """What a twin tells about a run.
+
+    time_ms, apex_mm, band_mm, extrapolated_mm [samples]: the apex history, its error at each instant and its limit.
+    apex, deformation: figures of the apex displacement and of the whole deformation; extremes: the largest pressure
+    under the apex and the least stress, by their names in a summary; response: the clinical parameters, empty where the
+    film has too few frames.
+    """
+
+    twin: Twin
+    time_ms: np.ndarray
+    apex_mm: np.ndarray
+    band_mm: np.ndarray
+    extrapolated_mm: np.ndarray
+    apex: Bars
+    deformation: Bars
+    extremes: Bars
+    response: Bars
+
+
+def error_bar(twin: Twin, run: Observed, coarse: Observed) -> ErrorBar:
+    """The error bar of a run by its twin's; ValueError where one of them did not get to its end."""
+    for one in (run, coarse):
+        if one.outcome.stop is not None:
+            raise ValueError(str(one.outcome.stop))
+    own, other, share = run.outcome.traces, coarse.outcome.traces, twin.share
+    time = own["time_ms"]
+    apex, coarse_apex = own["apex_displacement_mm"], other["apex_displacement_mm"]
+    estimate = share * (apex - coarse_apex)
+    retreat = run.eye.retreat(time * MS) / MM
+
+    def of(read: Callable[[np.ndarray], Figures], name: str) -> Bars:
+        return bars(read, time, own[name], share * (own[name] - other[name]))
+
+    pressure = of(lambda p: {"fluid_pressure_apex_max_kpa": float(p.max())}, "fluid_pressure_apex_kpa")
+    stress = of(lambda s: {"cornea_min_stress_kpa": float(s.min())}, "cornea_min_stress_kpa")
+    return ErrorBar(
+        twin,
+        time,
+        apex,
+        band(time, estimate),
+        apex + estimate,
+        bars(lambda values: history_figures(time, values), time, apex, estimate),
+        bars(lambda values: history_figures(time, values + retreat, whole=False), time, apex, estimate),
+        Bars(*({**getattr(pressure, kind), **getattr(stress, kind)} for kind in vars(pressure))),
+        _of_response(run, coarse, share),
+    )
+
+
+def history_figures(time_ms: np.ndarray, values: np.ndarray, whole: bool = True) -> Figures:
+    """The figures of a history by their names in a summary; whole: not only those of its peak."""
+    found = summarise(time_ms, values)
+    peak = {"peak": found.peak, "peak_time_ms": found.peak_time_ms}
+    halves = {"rise_time_ms": found.rise_time_ms, "fall_time_ms": found.fall_time_ms}
+    return {**peak, **halves, "fwhm_ms": found.fwhm_ms, "asymmetry": found.asymmetry} if whole else peak
+
+
+def band(time_ms: np.ndarray, estimate: np.ndarray) -> np.ndarray:
+    """The error of a history at each instant from its estimate."""
+    near = 2 * round(NEAR_MS / (time_ms[1] - time_ms[0])) + 1
+    wide = SAFETY * maximum_filter1d(np.abs(estimate), near, mode="nearest")
+    return np.maximum(wide, LEAST_SHARE * wide.max())
+
+
+def bars(
+    read: Callable[[np.ndarray], Figures],
+    time_ms: np.ndarray,
+    run: np.ndarray,
+    estimate: np.ndarray,
+    steps: dict[str, float] | None = None,
+) -> Bars:
+    """The bars of what is read from a run and its estimate, arrays [times, ...]; steps: of the grids of the reading."""
+    values, late = read(run), round(EARLY_MS / (time_ms[1] - time_ms[0]))
+    moved = [read(run + SAFETY * _late(estimate, by)) for by in (0, late, -late)]
+    errors: Figures = {}
+    for name, value in values.items():
+        others = [one[name] for one in moved]
+        shown = value is not None and None not in others
+        step = (steps or {}).get(name, 0.0)
+        errors[name] = max(abs(other - value) for other in others) + step if shown else None
+    return Bars(values, errors, read(run + estimate))
+
+
+def _of_response(run: Observed, coarse: Observed, share: float) -> Bars:
+    curves, other = run.curves, coarse.curves
+    if curves is None or other is None:
+        return Bars()
+
+    def read(height: np.ndarray) -> Figures:
+        response: Response = run.response(replace(curves, height_mm=height))
+        return {name: value for name, value in asdict(response).items() if name != "central_thickness_um"}
+
+    return bars(read, curves.time_ms, curves.height_mm, share * (curves.height_mm - other.height_mm), READS_TO)
+
+
+def _late(estimate: np.ndarray, by: int) -> np.ndarray:
+    """The estimate so many rows late, held at its end."""
+    return estimate[np.clip(np.arange(len(estimate)) - by, 0, len(estimate) - 1)]
