@@ -1,11 +1,11 @@
 """The command line: `taichi-eye run SCENE`, `scene`, `analyze FILM`, `estimate DATA`, `sweep STUDY`, `docs PAGE`, and
-the proofs, `check NAME`: `verify`, `stability`, `chart`, `choices`, `claims`, `films`, `clinic`, `fit-clinic`,
-`estimates`, `bench`, each a command by itself as well. Every command is a thin call of a public function; arguments
-that several share are in `options`.
+the proofs, `check NAME`: `verify`, `stability`, `chart`, `choices`, `error-bars`, `claims`, `films`, `clinic`,
+`fit-clinic`, `estimates`, `bench`, each a command by itself as well. Every command is a thin call of a public function;
+arguments that several share are in `options`.
 
 Exit status: 0 done; 1 the run left its validity and was stopped (what was computed so far is in the run folder), or a
-row of `verify`, `films`, `estimates`, `choices` or `bench` does not hold, or a file or standard output could not be
-written; 2 bad input, nothing written; 130 interrupted, 143 ended by SIGTERM, 129 by SIGHUP.
+row of `verify`, `films`, `estimates`, `choices`, `error-bars` or `bench` does not hold, or a file or standard output
+could not be written; 2 bad input, nothing written; 130 interrupted, 143 ended by SIGTERM, 129 by SIGHUP.
 """
 
 import argparse
@@ -40,8 +40,8 @@ def parser() -> argparse.ArgumentParser:
     _add_docs(commands)
     check = commands.add_parser(
         "check",
-        help="prove and measure: verify, stability, chart, choices, claims, films, clinic, fit-clinic, estimates and "
-        "bench",
+        help="prove and measure: verify, stability, chart, choices, error-bars, claims, films, clinic, fit-clinic, "
+        "estimates and bench",
         description="The proofs: each runs the program against what is known and writes a table and a page.",
         examples=("taichi-eye check verify --only squeeze", "taichi-eye check films --json films.json"),
     )
@@ -137,6 +137,7 @@ def _add_checks(commands, listed: bool) -> None:
         ("stability", "map where the methods fail, with the theory drawn on", "time-step", False),
         ("films", "hold rendered frames against the instrument's, and their reading against the eyes", "optics", True),
         ("choices", 'put fidelity = "auto" to varied scenes: its true error and its cost', "short-puff", True),
+        ("error-bars", "hold the stated numerical errors against the true ones", "cavity", True),
         ("bench", "measure how fast it is, each figure beside what is asked of it", "startup", True),
     ):
         proof = add(
@@ -391,7 +392,7 @@ def _docs(given) -> int:
 
 def _proof(name: str):
     """The module of a proof that consists of parts."""
-    return import_module(f"taichi_eye.{'bench' if name == 'bench' else 'proof'}.{name}")
+    return import_module(f"taichi_eye.{'bench' if name == 'bench' else 'proof'}.{name.replace('-', '_')}")
 
 
 def _asked(given):

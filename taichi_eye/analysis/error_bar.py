@@ -5,8 +5,10 @@ estimate    share times run less twin (`taichi_eye.ladder.twin`), at each instan
 band        of the history: SAFETY times the largest estimate within NEAR_MS, for where two runs cross their difference
             tells nothing; at least LEAST_SHARE of the largest band.
 bar         of a figure: how far it moves where SAFETY times the estimate is added to what it is read from: in its own
-            place, EARLY_MS early and as much late, whichever moves it most, for a figure that the estimate happens to
-            leave where it is would seem exact. The step of the grid that the figure is looked for on is added.
+            place, and some time early or late, whichever moves it most, for a figure that the estimate happens to
+            leave where it is would seem exact. Parameters are read through windows of +-0.7 ms and more, which blur
+            what is quicker: once CURVES_LATE_MS will do; those of a history from single samples: HISTORY_LATE_MS. The
+            step of the grid that a figure is looked for on is added.
 
 A bar is numerical error alone: how far the run is from its own rung's limit of no spacing and infinite sound speed. The
 error of the model is not in it.
@@ -27,8 +29,8 @@ from taichi_eye.report.history import summarise
 from taichi_eye.units import MM, MS
 
 SAFETY = 2.0
-NEAR_MS, LEAST_SHARE = 1.5, 0.05
-EARLY_MS = 0.6
+NEAR_MS, LEAST_SHARE = 2.5, 0.1
+CURVES_LATE_MS, HISTORY_LATE_MS = (0.5,), (0.25, 0.5, 0.75, 1.0)
 
 Figures = dict[str, float | None]
 
@@ -112,11 +114,12 @@ def bars(
     time_ms: np.ndarray,
     run: np.ndarray,
     estimate: np.ndarray,
+    late_ms: tuple[float, ...] = HISTORY_LATE_MS,
     steps: dict[str, float] | None = None,
 ) -> Bars:
     """The bars of what is read from a run and its estimate, arrays [times, ...]; steps: of the grids of the reading."""
-    values, late = read(run), round(EARLY_MS / (time_ms[1] - time_ms[0]))
-    moved = [read(run + SAFETY * _late(estimate, by)) for by in (0, late, -late)]
+    values, rows = read(run), [round(late / (time_ms[1] - time_ms[0])) for late in late_ms]
+    moved = [read(run + SAFETY * _late(estimate, by)) for by in (0, *rows, *(-row for row in rows))]
     errors: Figures = {}
     for name, value in values.items():
         others = [one[name] for one in moved]
@@ -135,7 +138,8 @@ def _of_response(run: Observed, coarse: Observed, share: float) -> Bars:
         response: Response = run.response(replace(curves, height_mm=height))
         return {name: value for name, value in asdict(response).items() if name != "central_thickness_um"}
 
-    return bars(read, curves.time_ms, curves.height_mm, share * (curves.height_mm - other.height_mm), READS_TO)
+    estimate = share * (curves.height_mm - other.height_mm)
+    return bars(read, curves.time_ms, curves.height_mm, estimate, CURVES_LATE_MS, READS_TO)
 
 
 def _late(estimate: np.ndarray, by: int) -> np.ndarray:
