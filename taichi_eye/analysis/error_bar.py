@@ -11,7 +11,8 @@ bar         of a figure: how far it moves where SAFETY times the estimate is add
             step of the grid that a figure is looked for on is added.
 
 A bar is numerical error alone: how far the run is from its own rung's limit of no spacing and infinite sound speed. The
-error of the model is not in it.
+error of the model is not in it. Pressures have none: the sound that rings in the resolved liquid is no weaker in a
+finer run.
 """
 
 from __future__ import annotations
@@ -49,9 +50,8 @@ class ErrorBar:
     """What a twin tells about a run.
 
     time_ms, apex_mm, band_mm, extrapolated_mm [samples]: the apex history, its error at each instant and its limit.
-    apex, deformation: figures of the apex displacement and of the whole deformation; extremes: the largest pressure
-    under the apex and the least stress, by their names in a summary; response: the clinical parameters, empty where the
-    film has too few frames.
+    apex, deformation: figures of the apex displacement and of the whole deformation; response: the clinical parameters,
+    empty where the film has too few frames.
     """
 
     twin: Twin
@@ -61,7 +61,6 @@ class ErrorBar:
     extrapolated_mm: np.ndarray
     apex: Bars
     deformation: Bars
-    extremes: Bars
     response: Bars
 
 
@@ -70,17 +69,10 @@ def error_bar(twin: Twin, run: Observed, coarse: Observed) -> ErrorBar:
     for one in (run, coarse):
         if one.outcome.stop is not None:
             raise ValueError(str(one.outcome.stop))
-    own, other, share = run.outcome.traces, coarse.outcome.traces, twin.share
-    time = own["time_ms"]
-    apex, coarse_apex = own["apex_displacement_mm"], other["apex_displacement_mm"]
-    estimate = share * (apex - coarse_apex)
+    time, share = run.outcome.traces["time_ms"], twin.share
+    apex, other = (one.outcome.traces["apex_displacement_mm"] for one in (run, coarse))
+    estimate = share * (apex - other)
     retreat = run.eye.retreat(time * MS) / MM
-
-    def of(read: Callable[[np.ndarray], Figures], name: str) -> Bars:
-        return bars(read, time, own[name], share * (own[name] - other[name]))
-
-    pressure = of(lambda p: {"fluid_pressure_apex_max_kpa": float(p.max())}, "fluid_pressure_apex_kpa")
-    stress = of(lambda s: {"cornea_min_stress_kpa": float(s.min())}, "cornea_min_stress_kpa")
     return ErrorBar(
         twin,
         time,
@@ -89,7 +81,6 @@ def error_bar(twin: Twin, run: Observed, coarse: Observed) -> ErrorBar:
         apex + estimate,
         bars(lambda values: history_figures(time, values), time, apex, estimate),
         bars(lambda values: history_figures(time, values + retreat, whole=False), time, apex, estimate),
-        Bars(*({**getattr(pressure, kind), **getattr(stress, kind)} for kind in vars(pressure))),
         _of_response(run, coarse, share),
     )
 

@@ -28,7 +28,7 @@ from taichi_eye.scene import Scene
 from taichi_eye.solver.batch import Outcome
 from taichi_eye.units import MM, MS
 
-KEPT = "time_ms", "apex_displacement_mm", "fluid_pressure_apex_kpa", "cornea_min_stress_kpa"
+KEPT = "time_ms", "apex_displacement_mm"
 FILE = "twin.npz"
 
 

@@ -77,7 +77,7 @@ def _error_bar(bar: ErrorBar) -> dict:
 
     def beside(kind: str) -> dict:
         blocks = {"apex_displacement_mm": bar.apex, "apex_deformation_mm": bar.deformation, "response": bar.response}
-        return {**{name: getattr(block, kind) for name, block in blocks.items()}, **getattr(bar.extremes, kind)}
+        return {name: getattr(block, kind) for name, block in blocks.items()}
 
     return {
         "response": bar.response.values,
