@@ -1,14 +1,15 @@
 """The command line: `taichi-eye run SCENE`, `scene`, `analyze FILM`, `estimate DATA`, `sweep STUDY`, `docs PAGE`, and
-the proofs, `check NAME`: `verify`, `stability`, `chart`, `choices`, `claims`, `films`, `clinic`, `fit-clinic`,
-`estimates`, `scenes`, `bench`, each a command by itself as well. Every command is a thin call of a public function;
-arguments that several share are in `options`.
+the proofs, `check NAME`: `verify`, `stability`, `chart`, `choices`, `error-bars`, `claims`, `films`, `clinic`,
+`fit-clinic`, `estimates`, `scenes`, `bench`, each a command by itself as well. Every command is a thin call of a public
+function; arguments that several share are in `options`.
 
 Exit status: 0 done; 1 the run left its validity and was stopped (what was computed so far is in the run folder), or a
-row of `verify`, `films`, `estimates`, `choices`, `scenes` or `bench` does not hold, or a file or standard output could
-not be written; 2 bad input, nothing written; 130 interrupted, 143 ended by SIGTERM, 129 by SIGHUP.
+row of `verify`, `films`, `estimates`, `choices`, `error-bars`, `scenes` or `bench` does not hold, or a file or standard
+output could not be written; 2 bad input, nothing written; 130 interrupted, 143 ended by SIGTERM, 129 by SIGHUP.
 """
 
 import argparse
+import math
 import signal
 import sys
 from importlib import import_module
@@ -46,8 +47,8 @@ def parser() -> argparse.ArgumentParser:
     _add_docs(commands)
     check = commands.add_parser(
         "check",
-        help="prove and measure: verify, stability, chart, choices, claims, films, clinic, fit-clinic, estimates, "
-        "scenes and bench",
+        help="prove and measure: verify, stability, chart, choices, error-bars, claims, films, clinic, fit-clinic, "
+        "estimates, scenes and bench",
         description="The proofs: each runs the program against what is known and writes a table and a page.",
         examples=("taichi-eye check verify --only squeeze", "taichi-eye check films --json films.json"),
     )
@@ -143,6 +144,7 @@ def _add_checks(commands, listed: bool) -> None:
         ("stability", "map where the methods fail, with the theory drawn on", "time-step", False),
         ("films", "hold rendered frames against the instrument's, and their reading against the eyes", "optics", True),
         ("choices", 'put fidelity = "auto" to varied scenes: its true error and its cost', "short-puff", True),
+        ("error-bars", "hold the stated numerical errors against the true ones", "cavity", True),
         ("scenes", "put scenes drawn at random to the loader and the solver", "pairs", True),
         ("bench", "measure how fast it is, each figure beside what is asked of it", "startup", True),
     ):
@@ -341,12 +343,42 @@ def _run(given) -> int:
         return 1
     for warning in result.summary["warnings"]:
         print(f"warning: {warning}")
-    apex, whole = (result.summary[name] for name in ("apex_displacement_mm", "apex_deformation_mm"))
-    said = f"apex deflection {apex['peak']:.3f} mm at {apex['peak_time_ms']:.2f} ms"
-    if whole["peak"] != apex["peak"]:
-        said += f", deformation {whole['peak']:.3f} mm at {whole['peak_time_ms']:.2f} ms"
+    if "numerical_error" in result.summary:
+        for line in _with_errors(result.summary):
+            print(line)
+    said = f"apex deflection {_peak(result.summary, 'apex_displacement_mm')}"
+    if result.summary["apex_deformation_mm"]["peak"] != result.summary["apex_displacement_mm"]["peak"]:
+        said += f", deformation {_peak(result.summary, 'apex_deformation_mm')}"
     print(f"{result.folder}: {said}, {result.summary['wall_clock']['total_s']:.1f} s")
     return 0
+
+
+def _peak(summary: dict, name: str) -> str:
+    """A peak and its time, with their numerical errors where they are stated."""
+    peak, time = summary[name]["peak"], summary[name]["peak_time_ms"]
+    if "numerical_error" not in summary:
+        return f"{peak:.3f} mm at {time:.2f} ms"
+    errors = summary["numerical_error"][name]
+    return f"{_with_error(peak, errors['peak'])} mm at {_with_error(time, errors['peak_time_ms'])} ms"
+
+
+def _with_errors(summary: dict) -> list[str]:
+    """A table of the clinical parameters: value, numerical error, extrapolated value."""
+    lines = [f"{'parameter':34}{'computed':>12}{'num. error':>12}{'extrapolated':>14}"]
+    errors, limits = (summary[kind]["response"] for kind in ("numerical_error", "extrapolated"))
+    for name, value in summary["response"].items():
+        if value is not None and errors[name] is not None:
+            limit = "-" if limits[name] is None else f"{limits[name]:.5g}"
+            lines.append(f"{name:34}{value:>12.5g}{errors[name]:>12.2g}{limit:>14}")
+    return lines if len(lines) > 1 else []
+
+
+def _with_error(value: float, error: float | None) -> str:
+    """A value to two figures of its error, as in 0.9670 +- 0.0016."""
+    if error is None:
+        return f"{value:.3f}"
+    digits = min(max(2 - math.ceil(math.log10(error)), 0), 9) if error > 0.0 else 3
+    return f"{value:.{digits}f} +- {error:.{digits}f}"
 
 
 def _scene(given) -> int:
@@ -368,7 +400,7 @@ def _docs(given) -> int:
 
 def _proof(name: str):
     """The module of a proof that consists of parts."""
-    return import_module(f"taichi_eye.{'bench' if name == 'bench' else 'proof'}.{name}")
+    return import_module(f"taichi_eye.{'bench' if name == 'bench' else 'proof'}.{name.replace('-', '_')}")
 
 
 def _asked(given):

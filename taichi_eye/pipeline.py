@@ -1,9 +1,10 @@
 """From a scene to a run folder: simulate while observers look on (`taichi_eye.recording`), and resume what was cut off.
 
 The folder holds film.mp4, apex.png, sheet.png, report.html, traces.csv, wall.npz, summary.json and scene.toml; on
-request film.gif, the folder frames/ with a PNG per frame, and fields/ for ParaView. Every file appears whole or not at
-all. A run that a guard stops or a signal ends leaves the same files up to that time, and its summary says so. While it
-is under way, and after it was cut off by anything but a guard, the hidden folder .run holds what `resume` goes on from.
+request film.gif, error_bar.csv, the folder frames/ with a PNG per frame, and fields/ for ParaView. Every file appears
+whole or not at all. A run that a guard stops or a signal ends leaves the same files up to that time, and its summary
+says so. While it is under way, and after it was cut off by anything but a guard, the hidden folder .run holds what
+`resume` goes on from.
 """
 
 import json
@@ -20,6 +21,7 @@ from taichi_eye.film.file import FilmFile
 from taichi_eye.ladder.choose import choose
 from taichi_eye.ladder.rungs import needs_cloud, simulation_of
 from taichi_eye.recording.checkpoint import Checkpoint
+from taichi_eye.recording.error_bar import run_twin
 from taichi_eye.recording.observer import Ending, Moment, Recording
 from taichi_eye.recording.progress import Progress
 from taichi_eye.recording.signals import Signals
@@ -94,6 +96,7 @@ def run(
             bar.decided(choice)
             # a pilot that was chosen has run already and is only filmed
             scene, ready, about = choice.scene, choice.simulation, choice.as_dict()
+        coarse, clock = _twin(scene, bar)
         cloud = cloud_of(scene) if needs_cloud(scene) else None
         if ready is None:
             ready = simulation_of(scene, cloud)
@@ -102,7 +105,7 @@ def run(
         folder, lock = claim_folder(out, name)
         try:
             room = WorkRoom(folder)
-            recording = Recording(folder, room.path, scene, ready, measured, about, started=started)
+            recording = Recording(folder, room.path, scene, ready, measured, about, clock, started, coarse)
             try:
                 room.begin(_manifest(scene, measured, about))
                 write_text(folder / "scene.toml", dump_scene(scene))
@@ -142,13 +145,15 @@ def resume(folder: str | Path, progress: bool = False, threads: int | None = Non
         if measured is not None:
             measured = Measured.from_plain(measured)
         with Signals() as signals, Progress(scene.numerics.duration_ms, progress) as bar:
+            header, state = checkpoint if checkpoint is not None else ({}, None)
+            # what a twin left stands beside a checkpoint
+            coarse, clock = _twin(scene, bar) if state is None else (None, header["clock"])
             cloud = cloud_of(scene) if needs_cloud(scene) else None
             simulation = simulation_of(scene, cloud)
-            header, state = checkpoint if checkpoint is not None else ({}, None)
             if state is not None:
                 simulation.restore(state)
             recording = Recording(
-                folder, room.path, scene, simulation, measured, manifest["choice"], header.get("clock", {}), started
+                folder, room.path, scene, simulation, measured, manifest["choice"], clock, started, coarse
             )
             try:
                 sweep(folder)
@@ -157,6 +162,17 @@ def resume(folder: str | Path, progress: bool = False, threads: int | None = Non
             return _record(recording, room, signals, bar, header.get("held", {}))
     finally:
         lock.release()
+
+
+def _twin(scene: Scene, bar: Progress) -> tuple[dict[str, np.ndarray] | None, dict[str, float]]:
+    """What the twin of a scene left that asks for an error bar, and the clock so far."""
+    if not scene.numerics.error_bar:
+        return None, {}
+    before = time.perf_counter()
+    found = run_twin(scene, bar.show)
+    took = time.perf_counter() - before
+    # set-up lasts from the start of the run to its first step, and this is no part of it
+    return found, {"twin_s": took, "setup_s": -took}
 
 
 def _refuse_without_encoder() -> None:

@@ -104,6 +104,15 @@ READ_AS = {
 }
 
 
+# steps of the grids that these are looked for on: they are read no finer
+READS_TO = {
+    "a1_length_mm": 0.004,
+    "a2_length_mm": 0.004,
+    "hc_time_ms": 0.005,
+    "whole_eye_movement_time_ms": 0.005,
+}
+
+
 @dataclass(frozen=True)
 class Histories:
     """What the parameters are read from: arrays [frames] at time_ms, maps [frames, points] over x_mm.

@@ -53,13 +53,17 @@ class Observed:
     stopped: str = ""
     outcome: Outcome | None = None
 
+    def response(self, curves: Curves, **windows) -> Response:
+        """What this eye's camera and puff show of curves; windows: those of `respond` that are not its defaults."""
+        puff = lambda t: float(self.eye.puff.pressure_at_apex(t * MS)) / MMHG
+        interval = self.scene.camera.frame_interval_ms
+        return respond(curves, interval, puff_mmhg=puff, age_years=ELDERLY_AGE_YEARS, **windows)
+
     def read(self, **windows) -> Reading:
         """The response; windows: those of `respond` that are not its defaults."""
         if self.curves is None:
             return Reading(Response(), self.stopped)
-        puff = lambda t: float(self.eye.puff.pressure_at_apex(t * MS)) / MMHG
-        interval = self.scene.camera.frame_interval_ms
-        response = respond(self.curves, interval, puff_mmhg=puff, age_years=ELDERLY_AGE_YEARS, **windows)
+        response = self.response(self.curves, **windows)
         if self.stopped:
             passed = response.a1_time_ms is not None and self.curves.time_ms[-1] > response.a1_time_ms + SPEED_MS
             early = {n: value for n, value in vars(response).items() if n.startswith(EARLY)} if passed else {}
@@ -88,13 +92,18 @@ def observe_many(scenes: Sequence[Scene]) -> list[Observed]:
         times[number].append(time_ms)
         walls[number].append(wall - [0.0, float(eyes[number].retreat(time_ms * MS)) / MM])
 
-    found = []
-    for number, outcome in enumerate(run_batch(scenes, on_frame=keep)):
-        scene, stop = scenes[number], outcome.stop
-        stopped = f"{stop.what}, {stop.time_ms:.1f} ms" if stop else ""
-        curves = None
-        if len(times[number]) >= FRAMES_LEAST:
-            r, z = np.moveaxis(np.array(walls[number]), 2, 0)
-            curves = curves_from_wall(np.array(times[number]), r, z, scene.cornea.thickness_mm)
-        found.append(Observed(scene, eyes[number], curves, stopped or ("" if curves else "too few frames"), outcome))
-    return found
+    return [
+        observed(outcome, eyes[number], np.array(times[number]), np.array(walls[number]))
+        for number, outcome in enumerate(run_batch(scenes, on_frame=keep))
+    ]
+
+
+def observed(outcome: Outcome, eye: Eye, time_ms: np.ndarray, walls_mm: np.ndarray) -> Observed:
+    """What was observed of a run that is over; walls_mm: at its frames, [frames, nodes, 2], less the eye's retreat."""
+    stop = outcome.stop
+    stopped = f"{stop.what}, {stop.time_ms:.1f} ms" if stop else ""
+    curves = None
+    if len(time_ms) >= FRAMES_LEAST:
+        r, z = np.moveaxis(walls_mm, 2, 0)
+        curves = curves_from_wall(time_ms, r, z, outcome.scene.cornea.thickness_mm)
+    return Observed(outcome.scene, eye, curves, stopped or ("" if curves else "too few frames"), outcome)

@@ -5,6 +5,9 @@ finest triple (h, c), (h sqrt 2, c), (h sqrt 2, c/2) that the budget paid for, a
 converged that is. A point's error is the largest of peak, 50 % times and whole history (`taichi_eye.ladder.misfit`), in
 percent.
 
+Of two points that differ by a factor 2 in spacing and, of `mfpm`, in sound speed, as run and twin of an error bar do
+(`taichi_eye.ladder.twin`), a third is made: Richardson's limit, "extrapolated", at the time of both.
+
 Points run cheapest first and are kept in chart.json as they finish, so a chart can be interrupted and resumed; a point
 whose predicted time does not fit what is left of the budget is passed over.
 """
@@ -12,7 +15,7 @@ whose predicted time does not fit what is left of the budget is passed over.
 import json
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +62,10 @@ def settings() -> list[Setting]:
 
 @dataclass
 class Chart:
-    """Points of one scene by label, and what has been worked out from them."""
+    """Points of one scene by label, and what has been worked out from them.
+
+    every: the points, and those extrapolated from two of them.
+    """
 
     scene: Scene
     points: dict[str, Point]
@@ -68,11 +74,12 @@ class Chart:
     def __post_init__(self):
         self.reference, self.level, rougher = finest_limit(self.points, LEVELS)
         self.uncertainty = misfit(rougher, self.reference).of("apex") if rougher else None
+        self.every = self.points | extrapolated(self.points)
         self.errors: dict[str, Misfit] = {}
         if self.reference is not None:
             # an unfinished run has no error
             self.errors = {
-                label: misfit(point.traces, self.reference) for label, point in self.points.items() if not point.stopped
+                label: misfit(point.traces, self.reference) for label, point in self.every.items() if not point.stopped
             }
 
     def error(self, label: str) -> float:
@@ -82,7 +89,7 @@ class Chart:
     def front(self) -> list[str]:
         """Labels of the points that no other beats in both time and error, fastest first."""
         best, front = math.inf, []
-        for label in sorted(self.errors, key=lambda name: self.points[name].whole_s):
+        for label in sorted(self.errors, key=lambda name: self.every[name].whole_s):
             if self.error(label) < best:
                 best = self.error(label)
                 front.append(label)
@@ -93,7 +100,7 @@ class Chart:
         return {
             tolerance: min(
                 (label for label in self.errors if self.error(label) <= tolerance),
-                key=lambda name: self.points[name].whole_s,
+                key=lambda name: self.every[name].whole_s,
                 default=None,
             )
             for tolerance in TOLERANCES
@@ -186,6 +193,31 @@ class Chart:
             "exponents": self.exponents(),
             "shares_percent": self.shares(),
         }
+
+
+def extrapolated(points: dict[str, Point]) -> dict[str, Point]:
+    """Richardson's limits of what run and twin may be, by label: each at the time of both."""
+    found = {}
+    for point in points.values():
+        setting = point.setting
+        c = setting.sound_speed_m_s
+        coarse = [
+            other
+            for h in SPACINGS
+            if abs(h / setting.spacing_mm - 2.0) < 0.01
+            and (other := points.get(Setting(setting.fidelity, h, c and c / 2.0).label))
+        ]
+        plain = setting.label == Setting(setting.fidelity, setting.spacing_mm, c).label
+        if plain and coarse and not (point.stopped or coarse[0].stopped):
+            twin = coarse[0]
+            found[f"{setting.label} extrapolated"] = replace(
+                point,
+                traces=extrapolate(point.traces, twin.traces, twin.setting.spacing_mm / setting.spacing_mm),
+                whole_s=point.whole_s + twin.whole_s,
+                solver_s=point.solver_s + twin.solver_s,
+                steps=point.steps + twin.steps,
+            )
+    return found
 
 
 def slope(x, y) -> float:

@@ -38,7 +38,7 @@ def plot(chart: Chart) -> Figure:
     axes = canvas.subplots()
     front = chart.front()
     axes.plot(
-        [chart.points[label].whole_s for label in front],
+        [chart.every[label].whole_s for label in front],
         [chart.error(label) for label in front],
         color="#9aa3ab",
         linewidth=6,
@@ -48,22 +48,27 @@ def plot(chart: Chart) -> Figure:
         zorder=1,
     )
     for rung, (mark, colour) in MARKS.items():
-        labels = [label for label in chart.errors if chart.points[label].setting.fidelity == rung]
-        if not labels:
-            continue
-        axes.plot(
-            [chart.points[label].whole_s for label in labels],
-            [chart.error(label) for label in labels],
-            mark,
-            color=colour,
-            markersize=6,
-            label=rung,
-            zorder=3,
-        )
+        for of_two in (False, True):
+            labels = [
+                label
+                for label in chart.errors
+                if chart.every[label].setting.fidelity == rung and (label not in chart.points) == of_two
+            ]
+            if labels:
+                axes.plot(
+                    [chart.every[label].whole_s for label in labels],
+                    [chart.error(label) for label in labels],
+                    mark,
+                    color=colour,
+                    markerfacecolor="white" if of_two else colour,
+                    markersize=6,
+                    label=f"{rung}, extrapolated" if of_two else rung,
+                    zorder=3,
+                )
     _lines(axes, chart)
     told: list[tuple[float, float]] = []
     for label in front:
-        point, place = chart.points[label].setting, (chart.points[label].whole_s, chart.error(label))
+        point, place = chart.every[label].setting, (chart.every[label].whole_s, chart.error(label))
         if any(abs(math.log10(place[0] / x)) < 0.25 and abs(math.log10(place[1] / y)) < 0.12 for x, y in told):
             continue  # it would be written over its neighbour
         told.append(place)
@@ -98,7 +103,7 @@ def plot(chart: Chart) -> Figure:
 def _lines(axes, chart):
     """Thin lines through points that differ in spacing alone."""
     groups: dict[tuple, list[str]] = {}
-    for label in chart.errors:
+    for label in (label for label in chart.errors if label in chart.points):
         setting = chart.points[label].setting
         plain = not (
             setting.basis
@@ -132,7 +137,7 @@ def rows(chart: Chart) -> list[tuple]:
     """One row of the table per point, cheapest first."""
     shares, front = chart.shares(), set(chart.front())
     found = []
-    for label, point in sorted(chart.points.items(), key=lambda item: item[1].whole_s):
+    for label, point in sorted(chart.every.items(), key=lambda item: item[1].whole_s):
         cells = [label, point.nodes, f"{point.whole_s:.3g}", f"{point.solver_s:.3g}", point.repeats]
         if label in chart.errors:
             error = chart.errors[label]
@@ -162,7 +167,7 @@ def words(chart: Chart) -> list[str]:
             said.append(
                 f"{tolerance:g} %: "
                 + (
-                    f"{label}, {chart.points[label].whole_s:.3g} s, {chart.error(label):.2g} % off"
+                    f"{label}, {chart.every[label].whole_s:.3g} s, {chart.error(label):.2g} % off"
                     if label
                     else "nothing here is that close"
                 )

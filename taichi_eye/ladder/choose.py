@@ -56,6 +56,7 @@ STIFFER, STIFFEST = (
     160.0,
 )  # sound speed of the mean pressure over that of the waves, and in m/s: more costs time steps
 WAVE_SHARE = 0.04
+TWIN_WIDER = 1.5  # times the spacing that the eye must take where an error bar asks for a coarser twin
 SPEEDS = (20.0, 30.0, 40.0, 60.0, 80.0, 120.0, 160.0)  # m/s, of mfpm
 
 
@@ -123,6 +124,9 @@ class _Climb:
         cornea = scene.cornea
         self.length_mm = cornea.radius_mm * math.asin(cornea.limbus_radius_mm / cornea.radius_mm)
         self.coarsest_mm = coarsest_spacing_mm(scene.values())
+        if self.numerics.error_bar:
+            # a coarser twin must have its place, too
+            self.coarsest_mm /= TWIN_WIDER
         self.choice = Choice(scene)
         self.inertia: float | None = None  # in percent, once a thin layer has run
         self.space, self.size = 1.0, 0.25  # space error in percent at a spacing in mm, until pilots tell

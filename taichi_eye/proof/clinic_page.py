@@ -93,7 +93,7 @@ def tables(study: Study) -> dict[str, tuple[list[str], list[list[str]], list[int
 
 
 def _levels(study: Study):
-    body = []
+    body, stated = [], any(level.numerical_error is not None for level in study.levels)
     for level in study.levels:
         cells = []
         for name in POPULATIONS:
@@ -101,8 +101,10 @@ def _levels(study: Study):
             shown = "" if z is None else f" ({z:+.1f})"
             cells.append("" if mean is None else f"{mean:g} +- {deviation:g}{shown}")
         judge = "" if level.judge is None else POPULATIONS[level.judge].name
-        body.append([SHOWN[level.name], _cell(level.value), *cells, judge, _yes(level.holds)])
-    head = ["parameter", "computed", *(p.name for p in POPULATIONS.values()), "judged by", "within 1 SD"]
+        error = [_error(level.numerical_error)] if stated else []
+        body.append([SHOWN[level.name], _cell(level.value), *error, *cells, judge, _yes(level.holds)])
+    error = ["numerical error"] if stated else []
+    head = ["parameter", "computed", *error, *(p.name for p in POPULATIONS.values()), "judged by", "within 1 SD"]
     return head, body, [k for k, level in enumerate(study.levels) if level.holds is False]
 
 
@@ -272,6 +274,7 @@ def as_json(study: Study) -> dict:
         "levels": {
             level.name: {
                 "computed": level.value,
+                "numerical_error": level.numerical_error,
                 "norms": {name: dict(zip(("mean", "sd", "z"), norm)) for name, norm in level.norms.items()},
                 "judged_by": level.judge,
                 "within_1_sd": level.holds,
@@ -467,6 +470,10 @@ def _draw_group(axes, row, first: bool) -> None:
 
 def _cell(value: float | None) -> str:
     return "-" if value is None else f"{value:.3f}"
+
+
+def _error(value: float | None) -> str:
+    return "-" if value is None else f"+- {value:.2g}"
 
 
 def _yes(holds: bool | None) -> str:

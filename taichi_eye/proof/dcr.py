@@ -13,7 +13,7 @@ switch at a time set back to the default eye shows what each does. A run that a 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,10 +21,12 @@ from typing import Any
 from tqdm import tqdm
 
 from taichi_eye import backend
+from taichi_eye.analysis.error_bar import error_bar
 from taichi_eye.analysis.norms import NORMS, judged_by, z_scores
 from taichi_eye.analysis.response import Response
-from taichi_eye.analysis.simulated import Reading, observe_many, response_of
+from taichi_eye.analysis.simulated import Observed, Reading, observe_many, response_of
 from taichi_eye.errors import SceneError
+from taichi_eye.ladder.twin import twin_of
 from taichi_eye.proof import clinic, public, windows
 from taichi_eye.proof.population import SimulatedEye, crossed, simulate_many, slopes
 from taichi_eye.report.folder import create_run_folder, write_text
@@ -68,12 +70,14 @@ PER_MMHG, PER_10_UM = "per mmHg", "per 10 um"
 
 @dataclass(frozen=True)
 class Level:
-    """A parameter beside the norms. norms: (mean, SD, z) by population; judge: the one of the verdict, or None."""
+    """A parameter beside the norms. norms: (mean, SD, z) by population; judge: the one of the verdict, or None;
+    numerical_error: of the value, where the scene asks for it and its twin got to its end."""
 
     name: str
     value: float | None
     norms: dict[str, tuple[float, float, float | None]]
     judge: str | None
+    numerical_error: float | None = None
 
     @property
     def holds(self) -> bool | None:
@@ -147,8 +151,8 @@ def switches_of(scene: Scene) -> dict[str, dict[str, Any]]:
     return found
 
 
-def levels_of(response: Response) -> list[Level]:
-    """Every shown parameter beside every population."""
+def levels_of(response: Response, errors: Mapping[str, float | None] | None = None) -> list[Level]:
+    """Every shown parameter beside every population; errors: the numerical ones by name."""
     scores, found = z_scores(response), []
     for name in SHOWN:
         judge = judged_by(name)
@@ -158,9 +162,20 @@ def levels_of(response: Response) -> list[Level]:
                 getattr(response, name),
                 {p: (*NORMS[p][name], scores.get(name, {}).get(p)) for p in NORMS if name in NORMS[p]},
                 None if judge is None else judge[0],
+                (errors or {}).get(name),
             )
         )
     return found
+
+
+def errors_of(own: Observed) -> dict[str, float | None]:
+    """The numerical errors of what a scene's eye shows, by its coarser twin; empty where the scene asks for none, or
+    one of the two was stopped."""
+    if own.stopped or not own.scene.numerics.error_bar:
+        return {}
+    twin = twin_of(own.scene)
+    coarse = observe_many([twin.scene])[0]
+    return {} if coarse.stopped else error_bar(twin, own, coarse).response.errors
 
 
 def slopes_of(eyes: list[SimulatedEye]) -> list[Slope]:
@@ -202,6 +217,7 @@ def study(
         observed = observe_many([scene.but(switched[what]) for what in parcel])
         readings |= {what: found.read() for what, found in zip(parcel, observed)}
     tell("public tables", total - 2, total)
+    errors = errors_of(own.observed)
     line = public.sweep(scene, [eye for eye in eyes if eye.thickness_um == own.thickness_um])
     donors, stiffened = public.donors(scene), public.stiffened(scene, own)
     diseased = public.diseased(response_of(healthy), readings["scene"]) if healthy is not None else []
@@ -210,7 +226,7 @@ def study(
         name,
         scene,
         own,
-        levels_of(own.response),
+        levels_of(own.response, errors),
         slopes_of(eyes),
         public.groups(line),
         line,
@@ -245,6 +261,8 @@ def report(
     for file, one in ((path, scene), (healthy, beside)):
         if one is not None and one.puff.peak_kpa == 0.0:
             raise SceneError(f"{file}: puff.peak_kpa = 0: an eye without a puff has no dynamic response")
+    if scene.numerics.error_bar and scene.numerics.fidelity != "auto":
+        twin_of(scene)
     folder = create_run_folder(out, "clinic")
     with tqdm(unit=" runs", disable=not progress, dynamic_ncols=True, leave=False) as bar:
 

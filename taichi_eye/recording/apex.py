@@ -12,4 +12,4 @@ class Apex(Observer):
         # matplotlib's figures are slow to load: not before the film is done
         from taichi_eye.report.plots import plot_apex
 
-        plot_apex(self.recording.folder / "apex.png", ending.traces, self.recording.measured)
+        plot_apex(self.recording.folder / "apex.png", ending.traces, self.recording.measured, self.recording.error_bar)

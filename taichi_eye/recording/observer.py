@@ -9,6 +9,7 @@ done over, so that the end is the same.
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -17,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from taichi_eye import backend
+from taichi_eye.analysis.error_bar import ErrorBar
 from taichi_eye.eye.jet import central_curvature
 from taichi_eye.film import FilmView, FrameState
 from taichi_eye.ladder.rungs import needs_cloud
@@ -33,8 +35,9 @@ class Recording:
 
     work: the hidden folder of what has to be kept until the end; measured: the history to compare with; choice: what a
     summary tells of how "auto" was decided; clock: seconds by stage, those before a run was resumed included; started:
-    on the clock `time.perf_counter`; walls: a log of the wall at every frame, kept by `Wall`; summary: made by
-    `Summary`.
+    on the clock `time.perf_counter`; coarse: what `run_twin` left of a run that states its error; error_bar: made of it
+    by `Bars`; walls: a log of the wall at every frame, kept by `Wall`; notes: warnings of observers, for the summary;
+    summary: made by `Summary`.
     """
 
     folder: Path
@@ -45,7 +48,10 @@ class Recording:
     choice: dict | None = None
     clock: dict[str, float] = field(default_factory=dict)
     started: float = field(default_factory=time.perf_counter)
+    coarse: Mapping[str, np.ndarray] | None = None
     walls: Any = None
+    error_bar: ErrorBar | None = None
+    notes: list[str] = field(default_factory=list)
     summary: dict = field(default_factory=dict)
 
     def elapsed_s(self) -> float:

@@ -37,11 +37,16 @@ class Progress(Observer):
         super().opened(recording, held)
         if not self._bar.disable:
             self._bar.write(_announce(recording.scene, recording.simulation))
-        self._bar.set_description_str("air puff: ")
-        self.sample()
+        self.show("air puff: ", recording.simulation.time_ms)
+
+    def show(self, what: str, time_ms: float) -> None:
+        """What is computed now, and how far."""
+        if self._bar.desc != what:
+            self._bar.set_description_str(what)
+        self._bar.update(min(time_ms, self._bar.total) - self._bar.n)
 
     def sample(self) -> None:
-        self._bar.update(min(self.recording.simulation.time_ms, self._bar.total) - self._bar.n)
+        self.show("air puff: ", self.recording.simulation.time_ms)
 
     def closed(self, ending) -> None:
         if ending.stop is None:

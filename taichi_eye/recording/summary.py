@@ -7,6 +7,7 @@ from dataclasses import asdict
 
 import numpy as np
 
+from taichi_eye.analysis.error_bar import ErrorBar
 from taichi_eye.provenance import provenance
 from taichi_eye.recording.observer import Observer
 from taichi_eye.report.compare import differences
@@ -62,7 +63,30 @@ def summary_of(recording, ending) -> dict:
             "file": measured.name,
             **differences(traces["time_ms"], traces["apex_displacement_mm"], measured),
         }
+    if recording.error_bar is not None:
+        summary |= _error_bar(recording.error_bar)
+    summary["warnings"] += recording.notes
     if recording.choice is not None:
         summary["choice"] = recording.choice
         summary["warnings"] += recording.choice["doubts"]
     return summary
+
+
+def _error_bar(bar: ErrorBar) -> dict:
+    """The clinical parameters, and beside every figure its numerical error and its extrapolated value."""
+    numerics = bar.twin.scene.numerics
+
+    def beside(kind: str) -> dict:
+        blocks = {"apex_displacement_mm": bar.apex, "apex_deformation_mm": bar.deformation, "response": bar.response}
+        return {name: getattr(block, kind) for name, block in blocks.items()}
+
+    return {
+        "response": bar.response.values,
+        "numerical_error": {**beside("errors"), "apex_history_mm": float(bar.band_mm.max())},
+        "extrapolated": beside("extrapolated"),
+        "twin": {
+            "spacing_mm": numerics.spacing_mm,
+            "sound_speed_m_s": numerics.sound_speed_m_s if numerics.fidelity == "mfpm" else None,
+            "ratio": bar.twin.ratio,
+        },
+    }

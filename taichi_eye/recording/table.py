@@ -4,6 +4,7 @@ last."""
 from __future__ import annotations
 
 from taichi_eye.recording.apex import Apex
+from taichi_eye.recording.error_bar import Bars
 from taichi_eye.recording.fields import Fields
 from taichi_eye.recording.film import Film
 from taichi_eye.recording.frames import Frames
@@ -15,4 +16,4 @@ from taichi_eye.recording.summary import Summary
 from taichi_eye.recording.traces import Traces
 from taichi_eye.recording.wall import Wall
 
-SINKS: tuple[type[Observer], ...] = (Traces, Film, Wall, Frames, Fields, Apex, Sheet, Gif, Report, Summary)
+SINKS: tuple[type[Observer], ...] = (Traces, Bars, Film, Wall, Frames, Fields, Apex, Sheet, Gif, Report, Summary)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,16 +22,27 @@ MOVED_MM = 1e-3  # below it the eye counts as at rest, without peak and half hei
 MARGIN_PX, CAPTION_PX, FRAME_WIDTH_MAX_PX = 14, 36, 800
 
 
-def plot_apex(path: Path, traces: Mapping[str, np.ndarray], measured: Measured | None = None) -> None:
+class Band(Protocol):
+    """A history with its error (`taichi_eye.analysis.error_bar.ErrorBar`): arrays [samples]."""
+
+    time_ms: np.ndarray
+    apex_mm: np.ndarray
+    band_mm: np.ndarray
+
+
+def plot_apex(
+    path: Path, traces: Mapping[str, np.ndarray], measured: Measured | None = None, bar: Band | None = None
+) -> None:
     """`draw_apex` as a PNG."""
-    _save(draw_apex(traces, measured), path)
+    _save(draw_apex(traces, measured, bar), path)
 
 
-def draw_apex(traces: Mapping[str, np.ndarray], measured: Measured | None = None) -> Figure:
+def draw_apex(traces: Mapping[str, np.ndarray], measured: Measured | None = None, bar: Band | None = None) -> Figure:
     """The apex history with the load over it, after fig. 2 of Montanino, Angelillo and Pandolfi.
 
-    traces: time_ms, apex_displacement_mm and puff_apex_kpa, shape [samples]. The two scales put both peaks at the same
-    height, so that lag and asymmetry show; the numbers written in are those of `summarise`.
+    traces: time_ms, apex_displacement_mm and puff_apex_kpa, shape [samples]; bar: the numerical error as a band. The
+    two scales put both peaks at the same height, so that lag and asymmetry show; the numbers written in are those of
+    `summarise`.
     """
     time, apex, load = (np.asarray(traces[name]) for name in ("time_ms", "apex_displacement_mm", "puff_apex_kpa"))
     here, push = summarise(time, apex), summarise(time, load)
@@ -42,7 +54,15 @@ def draw_apex(traces: Mapping[str, np.ndarray], measured: Measured | None = None
 
     twin.fill_between(time, load, color=LOAD, alpha=0.10, linewidth=0)
     lines = [twin.plot(time, load, color=LOAD, linewidth=1.4, dashes=(5, 2), label="air puff at the apex")[0]]
-    lines.insert(0, axes.plot(time, apex, color=APEX, linewidth=2.2, label="apex displacement computed")[0])
+    lines.insert(
+        0,
+        axes.plot(time, apex, color=APEX, linewidth=2.2 if bar is None else 1.0, label="apex displacement computed")[0],
+    )
+    if bar is not None:
+        widest = 1e3 * float(np.max(bar.band_mm))
+        low, high = np.asarray(bar.apex_mm) - bar.band_mm, np.asarray(bar.apex_mm) + bar.band_mm
+        said = f"numerical error, at most {widest:.2g} \N{MICRO SIGN}m"
+        lines.append(axes.fill_between(bar.time_ms, low, high, color=APEX, alpha=0.30, linewidth=0, label=said))
     tallest = max(here.peak, MOVED_MM)
     if measured is not None:
         what = "deflection" if measured.column == "deflection_mm" else "apex displacement"

@@ -42,6 +42,14 @@ def write_traces(path: Path, traces: Mapping[str, np.ndarray]) -> None:
         _write_rows(file, traces, 0)
 
 
+def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    """Write a table of columns of one length to full precision; the file is whole or absent."""
+    with replacing(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(columns)
+        rows.writerows(zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True))
+
+
 def append_traces(path: Path, traces: Mapping[str, np.ndarray], first: int) -> None:
     """Add the rows from `first` on to a file of `write_traces`."""
     with open(path, "a", encoding="utf-8", newline="") as file:

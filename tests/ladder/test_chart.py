@@ -60,6 +60,13 @@ def test_a_chart_knows_its_front_orders_and_recommendations(scene):
     assert errors == sorted(errors, reverse=True)
     assert charted.recommended()[3.0] == "cavity h 0.2"
     assert charted.recommended()[1.0].startswith("mfpm")
+    # run and twin: errors of second order are gone, at the time of both
+    limit, fine, coarse = (
+        charted.every[f"mfpm h {words}"] for words in ("0.2 c 80 extrapolated", "0.2 c 80", "0.4 c 40")
+    )
+    assert limit.traces["apex_displacement_mm"].max() == pytest.approx(1.0, abs=1e-9)
+    assert limit.whole_s == pytest.approx(fine.whole_s + coarse.whole_s)
+    assert "mfpm h 0.2 c 160 extrapolated" not in charted.every
     shares = charted.shares()
     assert shares["cavity h 0.2"]["model"] == pytest.approx(2.0, rel=0.01)
     assert shares["mfpm h 0.2 c 40"]["sound speed"] == pytest.approx(100.0 * 10.0 / 40.0**2, rel=0.05)

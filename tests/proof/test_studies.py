@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from taichi_eye.cli import main
-from taichi_eye.proof import choices, claims, clinic, dcr, population, public, stability, verify, windows
+from taichi_eye.proof import choices, claims, clinic, dcr, error_bars, population, public, stability, verify, windows
 from taichi_eye.proof.maps import corners, runs, sound_speed
 
 HEALTHY = Path(__file__).parents[2] / "configs" / "corvis_healthy.toml"
@@ -78,17 +78,35 @@ def test_choices_keep_their_tolerance_on_a_coarse_reference(there, monkeypatch):
     assert status == (0 if all(row["passed"] for row in rows) else 1)
 
 
+def test_error_bars_hold_the_true_errors_on_coarse_nodes(there, monkeypatch, capsys):
+    few = ("iop-30", "corvis-puff")
+    monkeypatch.setattr(error_bars, "SCENES", {name: error_bars.SCENES[name] for name in few})
+    monkeypatch.setattr(error_bars, "PARTS", {"cavity": 4.0, "mfpm": 2.0})
+    monkeypatch.setattr(error_bars, "SPACING_MM", 0.3)
+    assert main(["error-bars", "--out", "page", "--json", "bars.json", "--quiet"]) == 0
+    found = json.loads((there / "bars.json").read_text())
+    for rung in ("cavity", "mfpm"):
+        history, every = found[rung]["rows"][:2]
+        assert history["passed"] and history["better"] < 1.0 and len(history["inside"]) == len(few)
+        assert every["passed"] and len(every["inside"]) > 50
+        assert found[rung]["order"] == pytest.approx(2.0, abs=0.2)
+    said = capsys.readouterr().out
+    assert "| mfpm | apex peak |" in said and "rows hold; page" in said
+
+
 def test_the_clinical_scene_stays_within_the_norms(there, monkeypatch, capsys):
     monkeypatch.setattr(population, "IOP_STEPS_MMHG", (-1.0, 0.0, 3.0))
     monkeypatch.setattr(population, "THICKNESS_STEPS_UM", (0.0, 30.0))
     monkeypatch.setattr(public, "LEAST_MMHG", 12.0)
     monkeypatch.setattr(windows, "ZONES_MM", (1.0, 1.5))
     monkeypatch.setattr(dcr, "SWITCHES", {name: dcr.SWITCHES[name] for name in ("yielding globe", "thicker rim")})
-    coarse = ["--set", "numerics.fidelity=cavity", "--set", "numerics.spacing_mm=0.25"]
+    words = ("numerics.fidelity=cavity", "numerics.spacing_mm=0.25", "numerics.error_bar=true")
+    coarse = [word for entry in words for word in ("--set", entry)]
     assert main(["clinic", str(HEALTHY), *coarse, "--out", "page", "--json", "tables.json", "--quiet"]) == 0
     found = json.loads((there / "tables.json").read_text())
     fitted = ("a1_time_ms", "a2_time_ms", "hc_time_ms", "deformation_amplitude_mm", "da_ratio_2mm", "sp_a1_mmhg_mm")
     assert [found["levels"][name]["within_1_sd"] for name in fitted] == [True] * len(fitted)
+    assert all(0.0 < found["levels"][name]["numerical_error"] < 1.0 for name in fitted)
     slopes = {(row["parameter"], row["unit"]): row for row in found["slopes"]}
     assert len(slopes) == 18 and slopes["deformation_amplitude_mm", "per mmHg"]["verdict"] == "yes"
     assert found["eye"]["iop_nct_mmhg"] > found["eye"]["biop_mmhg"] > 10.0
@@ -100,6 +118,6 @@ def test_the_clinical_scene_stays_within_the_norms(there, monkeypatch, capsys):
     assert usual["a1_time_ms"] == found["levels"]["a1_time_ms"]["computed"] < wide["a1_time_ms"]
     assert set(found["switches"]) == {"scene", "yielding globe", "thicker rim"}
     said = capsys.readouterr().out
-    assert "would show IOPnct" in said and "60 controls, Tian 2014" in said
+    assert "would show IOPnct" in said and "numerical error" in said and "60 controls, Tian 2014" in said
     assert {path.name for path in (there / "page").iterdir()} == {"clinic.html", "clinic.png"}
     assert "0.0278" in (there / "page" / "clinic.html").read_text()

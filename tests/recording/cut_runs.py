@@ -30,7 +30,12 @@ SMALL = {
 # every rung, view and sink once; the slow ones, of meshio and of large pictures, where the solver is quick
 CASES = {
     "cavity": {"numerics.fidelity": "cavity", "camera.view": "both", "output.gif": "true"},
-    "mfpm": {"numerics.fidelity": "mfpm", "camera.view": "scheimpflug", "output.png_frames": "true"},
+    "mfpm": {
+        "numerics.fidelity": "mfpm",
+        "camera.view": "scheimpflug",
+        "output.png_frames": "true",
+        "numerics.error_bar": "true",
+    },
     "added_mass": {"numerics.fidelity": "added_mass", "camera.view": "particles", "output.gif": "true"},
     "membrane": {
         "numerics.fidelity": "membrane",
