@@ -1,7 +1,7 @@
-"""The command line: `taichi-eye run SCENE`, `scene`, `analyze FILM`, `estimate DATA`, `sweep STUDY`, `docs PAGE`, and
-the proofs, `check NAME`: `verify`, `stability`, `chart`, `choices`, `claims`, `films`, `clinic`, `fit-clinic`,
-`estimates`, `bench`, each a command by itself as well. Every command is a thin call of a public function; arguments
-that several share are in `options`.
+"""The command line: `taichi-eye run SCENE`, `scene`, `analyze FILM`, `estimate DATA`, `sweep STUDY`, `play`,
+`docs PAGE`, and the proofs, `check NAME`: `verify`, `stability`, `chart`, `choices`, `claims`, `films`, `clinic`,
+`fit-clinic`, `estimates`, `bench`, each a command by itself as well. Every command is a thin call of a public function;
+arguments that several share are in `options`.
 
 Exit status: 0 done; 1 the run left its validity and was stopped (what was computed so far is in the run folder), or a
 row of `verify`, `films`, `estimates`, `choices` or `bench` does not hold, or a file or standard output could not be
@@ -17,6 +17,7 @@ from pathlib import Path
 from taichi_eye import backend, console, docs, options, provenance, shipped
 from taichi_eye.errors import FilmError, OutputError, RunStopped, SceneError
 from taichi_eye.estimation import command as estimates
+from taichi_eye.page import command as pages
 from taichi_eye.studies import command as sweeps
 
 
@@ -36,6 +37,7 @@ def parser() -> argparse.ArgumentParser:
     _add_analyze(commands)
     estimates.add(commands)
     sweeps.add(commands)
+    pages.add(commands)
     _add_docs(commands)
     check = commands.add_parser(
         "check",
