@@ -88,7 +88,8 @@ def _add_run(commands) -> None:
         "out",
         "resume",
         out="run folder, new or empty (default: a new one under renders/)",
-        resume="go on with the run in this folder, which was cut off; only --threads and --quiet may stand with it",
+        resume="go on with the run in this folder, which was cut off; beside --threads, --watch and --quiet it stands "
+        "alone",
     )
     run.add_argument(
         "--compare",
@@ -96,6 +97,8 @@ def _add_run(commands) -> None:
         help="measured history to draw into apex.png: columns time_ms and apex_displacement_mm or deflection_mm",
     )
     options.take(run, "arch", "precision", "threads", "quiet")
+    run.add_argument("--watch", action="store_true", help="print the address of a page that shows the run as it goes")
+    pages.add_address(run, "; with --watch")
     run.set_defaults(do=_run)
 
 
@@ -310,6 +313,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(given) -> int:
+    if not given.watch and (given.host or given.port):
+        raise SceneError("--host and --port are those of the page that --watch serves: add it, or leave them out")
     if given.resume is not None:
         others = {"a scene": given.scene, "--set": given.overrides, "--out": given.out, "--compare": given.compare}
         others |= {"--arch": given.arch, "--precision": given.precision}
@@ -318,7 +323,8 @@ def _run(given) -> int:
         # solver and film are slow to load, and a bad command is refused without them
         from taichi_eye.pipeline import resume
 
-        result = resume(given.resume, not given.quiet, given.threads)
+        with pages.watching(given) as watch:
+            result = resume(given.resume, not given.quiet, given.threads, watch)
         if result.finished_before:
             print(f"{result.folder}: this run was finished already")
     else:
@@ -329,7 +335,8 @@ def _run(given) -> int:
         scene = load_scene(given.scene, given.overrides)
         backend.init(given.arch or "cpu", given.precision or "f64", given.threads)
         name = Path(given.scene).stem if given.scene else "eye"
-        result = run(scene, given.out, name, compare, progress=not given.quiet)
+        with pages.watching(given) as watch:
+            result = run(scene, given.out, name, compare, progress=not given.quiet, watch=watch)
     if result.summary["status"] != "complete":
         print(f"{result.folder}: is finished: {result.summary['reason']}")
         return 1

@@ -1,8 +1,11 @@
-"""`taichi-eye play [SCENE]`."""
+"""`taichi-eye play [SCENE]`, and the page of `taichi-eye run --watch`."""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+from collections.abc import Iterator
+from typing import Any
 
 from taichi_eye import backend
 from taichi_eye.options import count, take
@@ -24,14 +27,30 @@ def add(commands) -> None:
     parser.set_defaults(do=run)
 
 
-def add_address(parser: argparse.ArgumentParser) -> None:
-    """`--host` and `--port` of a page."""
+def add_address(parser: argparse.ArgumentParser, where: str = "") -> None:
+    """`--host` and `--port` of a page; where: what their help ends with."""
     parser.add_argument(
         "--host",
         metavar="ADDRESS",
-        help="of the network interface that answers (default: 127.0.0.1, this machine alone)",
+        help=f"network interface of the page (default: 127.0.0.1, this machine alone){where}",
     )
-    parser.add_argument("--port", type=count("a port", 65535), metavar="N", help="of the page (default: a free one)")
+    parser.add_argument(
+        "--port", type=count("a port", 65535), metavar="N", help=f"port of the page (default: a free one){where}"
+    )
+
+
+@contextlib.contextmanager
+def watching(given: argparse.Namespace) -> Iterator[Any]:
+    """The observer of a run that is watched, whose address is printed; None where it is not."""
+    if not given.watch:
+        yield None
+        return
+    from taichi_eye.page.server import Address
+    from taichi_eye.page.watch import Watch
+
+    with Watch(Address(given.host, given.port)) as watch:
+        print(f"{watch.url}  the run as it goes", flush=True)
+        yield watch
 
 
 def run(given: argparse.Namespace) -> int:
@@ -43,7 +62,7 @@ def run(given: argparse.Namespace) -> int:
     from taichi_eye.page.thread import Kernels
 
     eyes = hand.load(given.scene or play.PRESETS[0], given.overrides, play.PRESETS)
-    address = server.Address(given.host or server.LOOPBACK, given.port or 0)
+    address = server.Address(given.host, given.port)
     kernels = Kernels(lambda: backend.init("cpu", "f64", given.threads))
     page = play.Play(eyes, kernels)
     print(f"{address.url}  an eye under the hand; end it with Ctrl-C", flush=True)

@@ -12,7 +12,6 @@ from __future__ import annotations
 import json
 import math
 import shlex
-import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -300,12 +299,6 @@ def parameters_of(shown: Shown) -> dict[str, float | None]:
     r, z = np.moveaxis(shown.wall / MM, 2, 0)
     curves = curves_from_wall(shown.time_ms, r, z - shown.retreat_mm[:, None], shown.scene.cornea.thickness_mm)
     return vars(Observed(shown.scene, eye_of(shown.scene), curves, shown.stop).read().response)
-
-
-def packed(head: Mapping[str, Any], pixels: np.ndarray | None = None) -> bytes:
-    """A message: the length of its head (4 bytes, little endian), the head as JSON, the pixels."""
-    text = json.dumps(head, allow_nan=False).encode()
-    return struct.pack("<I", len(text)) + text + (b"" if pixels is None else pixels.tobytes())
 
 
 def load(given: str | None, overrides: Sequence[str], presets: Sequence[str]) -> Eyes:

@@ -2,7 +2,7 @@
 
     /                the page            /eyes     scenes, sliders and parameters that it offers
     /hand            a socket of a tab: {"number", "kind": "frame" | "film", "time_ms", "eyes": [{"which", "scene",
-                     "values"}]} in, messages of `hand.packed` out
+                     "values"}]} in, messages of `message.packed` out
     /scene           POST of an eye: its scene file, to keep
     /measured        POST of a table: its history, to lay over
 
@@ -23,7 +23,7 @@ from typing import Any
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
+from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -32,11 +32,12 @@ from taichi_eye.analysis.names import NAMES, unit_of
 from taichi_eye.analysis.norms import POPULATIONS, judged_by
 from taichi_eye.errors import SceneError
 from taichi_eye.page import hand
+from taichi_eye.page.files import STATIC, page
+from taichi_eye.page.message import packed
 from taichi_eye.page.thread import Kernels
 from taichi_eye.report.compare import read_measured
 from taichi_eye.scene import dump_scene
 
-STATIC = Path(__file__).parent / "static"
 PRESETS = "corvis_healthy", "keratoconus", "seed"
 SIDES = 2  # eyes side by side
 POINTS_MAX = 4000  # of a measured history, that are drawn
@@ -49,7 +50,7 @@ class Play:
         self.eyes, self.kernels, self.hand = eyes, kernels, hand.Hand()
         self.app = Starlette(
             routes=[
-                Route("/", _page("play.html")),
+                Route("/", page("play.html")),
                 Route("/eyes", self.offer),
                 Route("/scene", self.scene, methods=["POST"]),
                 Route("/measured", measured, methods=["POST"]),
@@ -132,9 +133,9 @@ class Play:
                     if asked.is_set():
                         break
                 else:
-                    await socket.send_bytes(hand.packed({"number": number, "kind": "done"}))
+                    await socket.send_bytes(packed({"number": number, "kind": "done"}))
             except (hand.Refused, SceneError) as refused:
-                await socket.send_bytes(hand.packed({"number": number, "kind": "refused", "reason": str(refused)}))
+                await socket.send_bytes(packed({"number": number, "kind": "refused", "reason": str(refused)}))
             except WebSocketDisconnect:
                 return
 
@@ -158,7 +159,7 @@ class Play:
         """One eye of a request, until a newer one is there."""
         if not whole:
             told, pixels = await self.kernels.call(hand.frame_of, self.hand, eye, time_ms)
-            await socket.send_bytes(hand.packed(head | {"kind": "frame"} | told, pixels))
+            await socket.send_bytes(packed(head | {"kind": "frame"} | told, pixels.data))
             return
         reading = None
         async for part in self.kernels.pieces(hand.film_of(self.hand, eye)):
@@ -168,19 +169,12 @@ class Play:
                 # NumPy alone, so beside the drawing
                 reading = asyncio.ensure_future(run_in_threadpool(hand.parameters_of, part))
                 told = part.told() | {"command": eye.command}
-                await socket.send_bytes(hand.packed(head | {"kind": "run"} | told))
+                await socket.send_bytes(packed(head | {"kind": "run"} | told))
             else:
                 first, pixels = part
-                await socket.send_bytes(hand.packed(head | {"kind": "frames", "first": first}, pixels))
+                await socket.send_bytes(packed(head | {"kind": "frames", "first": first}, pixels.data))
         if reading is not None and not asked.is_set():
-            await socket.send_bytes(hand.packed(head | {"kind": "parameters", "values": await reading}))
-
-
-def _page(name: str):
-    async def page(request: Request) -> Response:
-        return FileResponse(STATIC / name)
-
-    return page
+            await socket.send_bytes(packed(head | {"kind": "parameters", "values": await reading}))
 
 
 def _parsed(text: str | bytes) -> Any:

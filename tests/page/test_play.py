@@ -13,6 +13,7 @@ from starlette.testclient import TestClient
 from websockets.asyncio.client import connect
 
 from taichi_eye.page import hand, play
+from taichi_eye.page.files import STATIC
 from taichi_eye.page.guard import Guard
 from taichi_eye.page.server import Address
 from taichi_eye.page.thread import Kernels
@@ -180,10 +181,10 @@ def test_nothing_but_its_own_pages_is_served(client, path):
 
 def test_the_page_and_all_that_it_names_are_served_by_itself(client):
     for name in ("play", "watch"):
-        text = (play.STATIC / f"{name}.html").read_text()
+        text = (STATIC / f"{name}.html").read_text()
         assert "//" not in text.replace("<!doctype", "") and "style=" not in text and " onclick" not in text
     assert client.get("/").status_code == 200
-    for path in play.STATIC.iterdir():
+    for path in STATIC.iterdir():
         assert client.get(f"/static/{path.name}").status_code == 200
     offer = client.get("/eyes").json()
     assert [scene["name"] for scene in offer["scenes"]] == ["seed", "corvis_healthy"]
@@ -192,7 +193,7 @@ def test_the_page_and_all_that_it_names_are_served_by_itself(client):
 
 def test_many_tabs_get_each_its_own_and_those_that_vanish_harm_nobody(page):
     address = Address()
-    behind = address.behind(page.app)
+    behind = address.behind(lambda: page.app)
     url = f"ws://127.0.0.1:{address.port}/hand"
 
     async def tab(number):
