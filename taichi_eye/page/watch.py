@@ -85,6 +85,7 @@ class Watch(Watcher):
                 "end_ms": recording.scene.numerics.duration_ms,
                 "frames": recording.scene.camera.frame_count,
             }
+        told["at"] = time.time()
         self._newest = version + 1, before | told, kept if image is None else image
 
     # what the pages get, in the server's thread

@@ -3,13 +3,14 @@
 import http.server
 import threading
 
-import browsers
 import pytest
 
+from taichi_eye.bench import browser as browsers
+from taichi_eye.bench.browser import drag, picture, settled
 from taichi_eye.page import hand
 from taichi_eye.scene import load_scene
 
-pytestmark = browsers.needed
+pytestmark = pytest.mark.skipif(bool(browsers.missing()), reason=browsers.missing())
 FOREIGN = """<!doctype html><body>a page from elsewhere<script>
 const said = [], here = "URL";
 const shut = new WebSocket(here.replace("http", "ws") + "hand");
@@ -36,40 +37,8 @@ def one():
         yield one
 
 
-def settled(tab, after=-1):
-    """Wait for a film that was asked for after another; the number of its request."""
-    page = tab.page
-    page.wait_for_selector("body[data-settled]")
-    while (number := int(page.evaluate("document.body.dataset.settled"))) <= after:
-        page.wait_for_timeout(20)
-    return number
-
-
-def picture(tab, which=0):
-    return tab.page.evaluate(f"document.querySelectorAll('.eye canvas')[{which}].toDataURL()")
-
-
 def parameter(tab, name, which=0):
     return float(tab.page.locator(f"tr[data-name={name}] td").nth(1 + which).inner_text())
-
-
-def drag(tab, slider, share, which=0):
-    """Drag a slider by a share of its length in six steps; pictures that were shown on the way."""
-    page, shown = tab.page, []
-    box = page.locator(".eye").nth(which).locator(f"input[data-name={slider}]").bounding_box()
-    low = page.evaluate(f"""(() => {{ const s = document.querySelectorAll('.eye')[{which}]
-        .querySelector('input[data-name={slider}]'); return (s.value - s.min) / (s.max - s.min); }})()""")
-    x, y = box["x"] + 8 + low * (box["width"] - 16), box["y"] + box["height"] / 2
-    page.mouse.move(x, y)
-    page.mouse.down()
-    for k in range(1, 7):
-        before = page.evaluate("timings.frame.length")
-        page.mouse.move(x + share * box["width"] * k / 6, y)
-        while page.evaluate("timings.frame.length") == before:
-            page.wait_for_timeout(5)
-        shown.append(picture(tab, which))
-    page.mouse.up()
-    return shown
 
 
 def test_a_slider_is_dragged_and_film_history_and_parameters_follow(server, one, tmp_path):

@@ -7,7 +7,6 @@ import struct
 import threading
 import urllib.request
 
-import browsers
 import numpy as np
 import pytest
 from PIL import Image
@@ -15,6 +14,7 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 
 import taichi_eye
+from taichi_eye.bench import browser as browsers
 from taichi_eye.cli import main
 from taichi_eye.page.watch import Watch
 from taichi_eye.report.traces import read_traces
@@ -109,7 +109,7 @@ def test_an_address_without_a_page_is_refused(capsys, tmp_path, monkeypatch):
     assert "no.such.host.invalid" in said and len(said.splitlines()) == 1 and not list(tmp_path.iterdir())
 
 
-@browsers.needed
+@pytest.mark.skipif(bool(browsers.missing()), reason=browsers.missing())
 def test_the_page_shows_the_run_and_its_button_ends_it(tmp_path):
     words = [
         "--set",

@@ -37,6 +37,7 @@ async function take(data) {
     const canvas = at("film");
     if (canvas.width !== image.width || canvas.height !== image.height) Object.assign(canvas, { width: image.width, height: image.height });
     canvas.getContext("2d").drawImage(image, 0, 0);
+    if (document.body.dataset.late === undefined) document.body.dataset.late = Date.now() / 1000 - head.at;
     document.body.dataset.frame = head.frame;
   }
   document.body.dataset.state = head.state;
@@ -71,7 +72,7 @@ function plot(head) {
     pen.setLineDash([]);
     pen.lineWidth = 1;
     pen.textAlign = "left";
-    pen.fillText(`${name}: now ${values[values.length - 1].toPrecision(3)}, up to ${high.toPrecision(3)}`, left + k * 340, 16);
+    pen.fillText(`${name}: now ${values[values.length - 1].toPrecision(3)}, up to ${high.toPrecision(3)}`, left + k * 370, 16);
   });
 }
 
