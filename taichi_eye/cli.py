@@ -1,7 +1,7 @@
-"""The command line: `taichi-eye run SCENE`, `scene`, `analyze FILM`, `estimate DATA`, `sweep STUDY`, `docs PAGE`, and
-the proofs, `check NAME`: `verify`, `stability`, `chart`, `choices`, `error-bars`, `claims`, `films`, `clinic`,
-`fit-clinic`, `estimates`, `scenes`, `bench`, each a command by itself as well. Every command is a thin call of a public
-function; arguments that several share are in `options`.
+"""The command line: `taichi-eye run SCENE`, `scene`, `analyze FILM`, `estimate DATA`, `sweep STUDY`, `play`,
+`docs PAGE`, and the proofs, `check NAME`: `verify`, `stability`, `chart`, `choices`, `error-bars`, `claims`, `films`,
+`clinic`, `fit-clinic`, `estimates`, `scenes`, `bench`, each a command by itself as well. Every command is a thin call
+of a public function; arguments that several share are in `options`.
 
 Exit status: 0 done; 1 the run left its validity and was stopped (what was computed so far is in the run folder), or a
 row of `verify`, `films`, `estimates`, `choices`, `error-bars`, `scenes` or `bench` does not hold, or a file or standard
@@ -18,6 +18,7 @@ from pathlib import Path
 from taichi_eye import backend, console, docs, options, provenance, shipped
 from taichi_eye.errors import FilmError, OutputError, RunStopped, SceneError
 from taichi_eye.estimation import command as estimates
+from taichi_eye.page import command as pages
 from taichi_eye.studies import command as sweeps
 
 # what a command that was interrupted leaves, and the command that goes on with it
@@ -44,6 +45,7 @@ def parser() -> argparse.ArgumentParser:
     _add_analyze(commands)
     estimates.add(commands)
     sweeps.add(commands)
+    pages.add(commands)
     _add_docs(commands)
     check = commands.add_parser(
         "check",
@@ -94,7 +96,8 @@ def _add_run(commands) -> None:
         "out",
         "resume",
         out="run folder, new or empty (default: a new one under renders/)",
-        resume="go on with the run in this folder, which was cut off; only --threads and --quiet may stand with it",
+        resume="go on with the run in this folder, which was cut off; beside --threads, --watch and --quiet it stands "
+        "alone",
     )
     run.add_argument(
         "--compare",
@@ -102,6 +105,8 @@ def _add_run(commands) -> None:
         help="measured history to draw into apex.png: columns time_ms and apex_displacement_mm or deflection_mm",
     )
     options.take(run, "arch", "precision", "threads", "quiet")
+    run.add_argument("--watch", action="store_true", help="print the address of a page that shows the run as it goes")
+    pages.add_address(run, "; with --watch")
     run.set_defaults(do=_run)
 
 
@@ -318,6 +323,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(given) -> int:
+    if not given.watch and (given.host or given.port):
+        raise SceneError("--host and --port are those of the page that --watch serves: add it, or leave them out")
     if given.resume is not None:
         others = {"a scene": given.scene, "--set": given.overrides, "--out": given.out, "--compare": given.compare}
         others |= {"--arch": given.arch, "--precision": given.precision}
@@ -326,7 +333,8 @@ def _run(given) -> int:
         # solver and film are slow to load, and a bad command is refused without them
         from taichi_eye.pipeline import resume
 
-        result = resume(given.resume, not given.quiet, given.threads)
+        with pages.watching(given) as watch:
+            result = resume(given.resume, not given.quiet, given.threads, watch)
         if result.finished_before:
             print(f"{result.folder}: this run was finished already")
     else:
@@ -337,7 +345,8 @@ def _run(given) -> int:
         scene = load_scene(given.scene, given.overrides)
         backend.init(given.arch or "cpu", given.precision or "f64", given.threads)
         name = Path(given.scene).stem if given.scene else "eye"
-        result = run(scene, given.out, name, compare, progress=not given.quiet)
+        with pages.watching(given) as watch:
+            result = run(scene, given.out, name, compare, progress=not given.quiet, watch=watch)
     if result.summary["status"] != "complete":
         print(f"{result.folder}: is finished: {result.summary['reason']}")
         return 1

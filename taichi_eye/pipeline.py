@@ -22,7 +22,7 @@ from taichi_eye.ladder.choose import choose
 from taichi_eye.ladder.rungs import needs_cloud, simulation_of
 from taichi_eye.recording.checkpoint import Checkpoint
 from taichi_eye.recording.error_bar import run_twin
-from taichi_eye.recording.observer import Ending, Moment, Recording
+from taichi_eye.recording.observer import Ending, Moment, Recording, Watcher
 from taichi_eye.recording.progress import Progress
 from taichi_eye.recording.signals import Signals
 from taichi_eye.recording.table import SINKS
@@ -75,14 +75,15 @@ def run(
     name: str = "eye",
     compare: str | Path | None = None,
     progress: bool = False,
+    watch: Watcher | None = None,
 ) -> RunResult:
     """Simulate and film a scene into a run folder.
 
     out: a new or empty folder; None for renders/<name>-001, -002, ... compare: CSV with a measured history (columns
-    time_ms and apex_displacement_mm or deflection_mm). progress: a bar on the terminal. Raises SceneError for bad input
-    before anything is written. After what was computed so far has been written: RunStopped when a guard stops the run,
-    Interrupted when SIGINT, SIGTERM or SIGHUP ends it, OutputError when a file cannot be written; from the last two
-    `resume` goes on.
+    time_ms and apex_displacement_mm or deflection_mm). progress: a bar on the terminal. watch: an observer that may end
+    the run (`taichi_eye.page.watch.Watch`). Raises SceneError for bad input before anything is written. After what was
+    computed so far has been written: RunStopped when a guard stops the run, Interrupted when SIGINT, SIGTERM or SIGHUP
+    ends it, OutputError when a file cannot be written; from the last two `resume` goes on.
     """
     started = time.perf_counter()
     refuse_taken(out)
@@ -90,6 +91,7 @@ def run(
     _refuse_without_encoder()
     backend.real()
     with Signals() as signals, Progress(scene.numerics.duration_ms, progress) as bar:
+        _let_end(watch, signals)
         choice = choose(scene) if scene.numerics.fidelity == "auto" else None
         ready, about = None, None
         if choice is not None:
@@ -111,12 +113,14 @@ def run(
                 write_text(folder / "scene.toml", dump_scene(scene))
             except OSError as problem:
                 raise _unwritten(recording, problem) from problem
-            return _record(recording, room, signals, bar, {})
+            return _record(recording, room, signals, bar, {}, watch)
         finally:
             lock.release()
 
 
-def resume(folder: str | Path, progress: bool = False, threads: int | None = None) -> RunResult:
+def resume(
+    folder: str | Path, progress: bool = False, threads: int | None = None, watch: Watcher | None = None
+) -> RunResult:
     """Go on with a run that was cut off, in its folder; raises as `run` does.
 
     It ends with the same bits in traces, walls and frames as a run that was never cut off. A run that is finished is
@@ -145,6 +149,7 @@ def resume(folder: str | Path, progress: bool = False, threads: int | None = Non
         if measured is not None:
             measured = Measured.from_plain(measured)
         with Signals() as signals, Progress(scene.numerics.duration_ms, progress) as bar:
+            _let_end(watch, signals)
             header, state = checkpoint if checkpoint is not None else ({}, None)
             # what a twin left stands beside a checkpoint
             coarse, clock = _twin(scene, bar) if state is None else (None, header["clock"])
@@ -159,7 +164,7 @@ def resume(folder: str | Path, progress: bool = False, threads: int | None = Non
                 sweep(folder)
             except OSError as problem:
                 raise _unwritten(recording, problem) from problem
-            return _record(recording, room, signals, bar, header.get("held", {}))
+            return _record(recording, room, signals, bar, header.get("held", {}), watch)
     finally:
         lock.release()
 
@@ -222,10 +227,17 @@ def _finished(folder: Path) -> RunResult:
         raise SceneError(f"{folder}: is finished, but cannot be read ({problem})") from None
 
 
-def _record(recording: Recording, room: WorkRoom, signals: Signals, bar: Progress, held: dict) -> RunResult:
+def _let_end(watch: Watcher | None, signals: Signals) -> None:
+    if watch is not None:
+        watch.signals = signals
+
+
+def _record(
+    recording: Recording, room: WorkRoom, signals: Signals, bar: Progress, held: dict, watch: Watcher | None
+) -> RunResult:
     """Run to the end, to a guard's stop or to what else ends it; let the observers write in any case."""
     sinks = [sink() for sink in SINKS if sink.wanted(recording.scene)]
-    observers = [bar, *sinks, Checkpoint(room, sinks, signals)]
+    observers = [bar, *filter(None, [watch]), *sinks, Checkpoint(room, sinks, signals)]
     simulation, clock = recording.simulation, recording.clock
     stop: BaseException | None = None
 

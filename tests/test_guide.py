@@ -239,7 +239,11 @@ def test_package_data_and_packages_are_all_there():
     assert set(told["packages"]) == there | {"taichi_eye.configs"}
     assert told["package-dir"]["taichi_eye.configs"] == "configs"
     data = told["package-data"]
-    for package, folder in (("taichi_eye.docs", ROOT / "taichi_eye/docs"), ("taichi_eye.configs", ROOT / "configs")):
+    for package, folder in (
+        ("taichi_eye.docs", ROOT / "taichi_eye/docs"),
+        ("taichi_eye.configs", ROOT / "configs"),
+        ("taichi_eye.page", ROOT / "taichi_eye/page"),
+    ):
         ships = {path for pattern in data[package] for path in folder.glob(pattern)}
         code = {path for path in folder.rglob("*.py*")}
         assert ships == {path for path in folder.rglob("*") if path.is_file()} - code

@@ -194,3 +194,19 @@ def test_a_folder_named_like_an_option_is_a_folder(tmp_path, monkeypatch):
     scene = taichi_eye.load_scene(None, TINY + ["camera.view=scheimpflug", "numerics.fidelity=cavity"])
     taichi_eye.run(scene, "-x")
     assert names(tmp_path / "-x") == ALWAYS
+
+
+def test_an_eye_shows_the_frame_that_its_film_has(tmp_path):
+    words = ["numerics.fidelity=cavity", "numerics.spacing_mm=0.4", "numerics.duration_ms=0.8", "camera.view=both"]
+    scene = taichi_eye.load_scene(None, [*words, "output.png_frames=true", "puff.duration_ms=1"])
+    taichi_eye.run(scene, tmp_path / "run")
+    film = [np.asarray(Image.open(path)) for path in sorted((tmp_path / "run" / "frames").iterdir())]
+    eye = taichi_eye.simulation_of(scene)
+    np.testing.assert_array_equal(eye.frame(), film[0])
+    images = []
+    traces = eye.run(lambda eye, _: images.append(eye.frame()))
+    np.testing.assert_array_equal(np.array(images), np.array(film))
+    again = taichi_eye.simulation_of(scene)
+    again.run()
+    np.testing.assert_array_equal(again.frame(), film[-1])
+    assert len(again.traces["time_ms"]) == len(traces["time_ms"]) and (film[-1] != film[0]).any()

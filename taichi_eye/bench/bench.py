@@ -17,7 +17,7 @@ import numpy as np
 from tqdm import tqdm
 
 from taichi_eye import backend
-from taichi_eye.bench import batch, default, gpu, growth, packing, peers, startup, step, studies
+from taichi_eye.bench import batch, default, gpu, growth, packing, page, peers, startup, step, studies
 from taichi_eye.bench.rows import Row
 from taichi_eye.provenance import language
 from taichi_eye.report.folder import create_run_folder, write_text
@@ -31,6 +31,7 @@ PARTS = {
     "packing": packing.measure,
     "batch": batch.measure,
     "studies": studies.measure,
+    "page": page.measure,
     "peers": peers.measure,
     "gpu": gpu.measure,
 }

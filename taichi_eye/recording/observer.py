@@ -167,3 +167,9 @@ class Observer:
 
     def closed(self, ending: Ending) -> None:
         """The run is over: put the files under their names, each whole or not at all. May raise OSError."""
+
+
+class Watcher(Observer):
+    """An observer that holds nothing and may end the run; signals: those of the run (`Signals.ask`)."""
+
+    signals = None

@@ -40,6 +40,11 @@ class Signals:
         for number, before in self._before.items():
             signal.signal(number, before)
 
+    def ask(self, number: int) -> None:
+        """Note a signal that nobody sent: the run ends in order at its next sample. From any thread."""
+        if not self._shielded and self.asked is None:
+            self.asked = number
+
     def note(self) -> None:
         """From here on the first signal is noted."""
         self._noting = True

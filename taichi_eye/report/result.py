@@ -37,12 +37,12 @@ def fragment(title: str, parts: Iterable[str]) -> str:
 
 
 def write(path: Path, title: str, body: str) -> None:
-    """Write the page around what `fragment` made."""
-    write_text(
-        path,
+    """Write the page around what `fragment` made; of a name that is no text, escapes stand there."""
+    text = (
         f"<!doctype html>\n<html lang=en><meta charset=utf-8><meta name=viewport content='width=device-width'>"
-        f"<title>{html.escape(title)}</title>\n{body}\n</html>\n",
+        f"<title>{html.escape(title)}</title>\n{body}\n</html>\n"
     )
+    write_text(path, text.encode(errors="backslashreplace").decode())
 
 
 def read(folder: Path) -> str | None:

@@ -4,9 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from PIL import Image
 
-import taichi_eye
 from taichi_eye.eye.eye import eye_of
 from taichi_eye.recording.observer import Moment
 from taichi_eye.scene import load_scene
@@ -32,20 +30,3 @@ def test_the_jet_is_drawn_as_wide_as_the_dent_makes_it(feedback):
     assert widths[0] == pytest.approx(1.5 / (1.0 + feedback * 2.4 / 7.8), rel=5e-3)
     assert widths[1] > 1.5
     assert moment(1.0)[0].load is None
-
-
-@pytest.mark.parametrize("view", ["scheimpflug", "both"])
-def test_an_eye_shows_the_frame_that_its_film_has(view, tmp_path):
-    words = ["numerics.fidelity=cavity", "numerics.spacing_mm=0.4", "numerics.duration_ms=0.8", f"camera.view={view}"]
-    scene = taichi_eye.load_scene(None, [*words, "output.png_frames=true", "puff.duration_ms=1"])
-    taichi_eye.run(scene, tmp_path / "run")
-    film = [np.asarray(Image.open(path)) for path in sorted((tmp_path / "run" / "frames").iterdir())]
-    eye = taichi_eye.simulation_of(scene)
-    np.testing.assert_array_equal(eye.frame(), film[0])
-    images = []
-    traces = eye.run(lambda eye, _: images.append(eye.frame()))
-    np.testing.assert_array_equal(np.array(images), np.array(film))
-    again = taichi_eye.simulation_of(scene)
-    again.run()
-    np.testing.assert_array_equal(again.frame(), film[-1])
-    assert len(again.traces["time_ms"]) == len(traces["time_ms"]) and (film[-1] != film[0]).any()

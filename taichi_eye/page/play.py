@@ -1,0 +1,205 @@
+"""The page of `taichi-eye play`: one or two eyes under the hand, and what their sliders ask for.
+
+    /                the page            /eyes     scenes, sliders and parameters that it offers
+    /hand            a socket of a tab: {"number", "kind": "frame" | "film", "time_ms", "eyes": [{"which", "scene",
+                     "values"}]} in, messages of `message.packed` out
+    /scene           POST of an eye: its scene file, to keep
+    /measured        POST of a table: its history, to lay over
+
+Of a tab only the newest request is worked on: a newer one ends the one before at its next piece. A tab that is closed
+takes its request along.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import re
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from taichi_eye.analysis.names import NAMES, unit_of
+from taichi_eye.analysis.norms import POPULATIONS, judged_by
+from taichi_eye.errors import SceneError
+from taichi_eye.page import hand
+from taichi_eye.page.files import STATIC, page
+from taichi_eye.page.message import packed
+from taichi_eye.page.thread import Kernels
+from taichi_eye.report.compare import read_measured
+from taichi_eye.scene import dump_scene
+
+PRESETS = "corvis_healthy", "keratoconus", "seed"
+SIDES = 2  # eyes side by side
+POINTS_MAX = 4000  # of a measured history, that are drawn
+
+
+class Play:
+    """The application; kernels: the thread in which eyes are run and drawn."""
+
+    def __init__(self, eyes: hand.Eyes, kernels: Kernels):
+        self.eyes, self.kernels, self.hand = eyes, kernels, hand.Hand()
+        self.app = Starlette(
+            routes=[
+                Route("/", page("play.html")),
+                Route("/eyes", self.offer),
+                Route("/scene", self.scene, methods=["POST"]),
+                Route("/measured", measured, methods=["POST"]),
+                WebSocketRoute("/hand", self.tab),
+                Mount("/static", StaticFiles(directory=STATIC)),
+            ]
+        )
+
+    def warm(self) -> None:
+        """Compile and load what an eye takes; in the thread."""
+        for scene, _ in self.eyes.scenes.values():
+            hand.frame_of(self.hand, hand.Eye(scene, (), {}), 1.0)
+
+    async def offer(self, request: Request) -> Response:
+        """What the page has to choose from."""
+        scenes = []
+        for name, (scene, _) in self.eyes.scenes.items():
+            values = {slider: hand.SLIDERS[slider].of(scene) for slider in hand.of_scene(scene)}
+            scenes.append(
+                {
+                    "name": name,
+                    "values": {slider: value for slider, value in values.items() if math.isfinite(value)},
+                    "duration_ms": scene.numerics.duration_ms,
+                    "width": scene.camera.width_px,
+                    "height": scene.camera.height_px,
+                    "interval_ms": scene.camera.frame_interval_ms,
+                }
+            )
+        norms = {name: judged_by(name) for name in NAMES}
+        parameters = [
+            {
+                "name": name,
+                "said": said,
+                "unit": unit_of(name),
+                "norm": norms[name] and [*norms[name][1:], POPULATIONS[norms[name][0]].name],
+            }
+            for name, said in NAMES.items()
+        ]
+        told = {"scenes": scenes, "sliders": [slider.told for slider in hand.SLIDERS.values()]}
+        return JSONResponse(told | {"parameters": parameters})
+
+    async def scene(self, request: Request) -> Response:
+        """The scene file of an eye."""
+        try:
+            eye = self.eyes.eye(_parsed(await request.body()))
+        except hand.Refused as refused:
+            return PlainTextResponse(f"{refused}\n", 400)
+        return Response(
+            dump_scene(eye.scene),
+            media_type="application/toml",
+            headers={"Content-Disposition": 'attachment; filename="my_eye.toml"'},
+        )
+
+    async def tab(self, socket: WebSocket) -> None:
+        """A tab: its newest request, until it is closed."""
+        await socket.accept()
+        newest: list[str] = []
+        asked = asyncio.Event()
+        worker = asyncio.create_task(self._answer(socket, newest, asked))
+        try:
+            while not worker.done():
+                newest[:] = [await socket.receive_text()]
+                asked.set()
+        except (WebSocketDisconnect, KeyError):
+            pass  # closed; or bytes, which are no request
+        finally:
+            worker.cancel()
+
+    async def _answer(self, socket: WebSocket, newest: list[str], asked: asyncio.Event) -> None:
+        while True:
+            await asked.wait()
+            asked.clear()
+            number = None
+            try:
+                request = _parsed(newest[0])
+                number = request.get("number") if isinstance(request, dict) else None
+                eyes, time_ms, whole = self._read(request)
+                for which, eye in eyes:
+                    await self._show(socket, asked, {"number": number, "which": which}, eye, time_ms, whole)
+                    if asked.is_set():
+                        break
+                else:
+                    await socket.send_bytes(packed({"number": number, "kind": "done"}))
+            except (hand.Refused, SceneError) as refused:
+                await socket.send_bytes(packed({"number": number, "kind": "refused", "reason": str(refused)}))
+            except WebSocketDisconnect:
+                return
+
+    def _read(self, request: Any) -> tuple[list[tuple[int, hand.Eye]], float, bool]:
+        """Eyes with their sides, the time that is looked at, and whether whole films are asked for."""
+        if not isinstance(request, dict) or request.get("kind") not in ("frame", "film"):
+            raise hand.Refused("a request is for a frame or a film")
+        asked, time_ms, number = (request.get(name) for name in ("eyes", "time_ms", "number"))
+        if isinstance(time_ms, bool) or not isinstance(time_ms, int | float) or not 0.0 <= time_ms <= 1e4:
+            raise hand.Refused("time_ms: must be a number from 0 to 10000")
+        if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < 2**53:
+            raise hand.Refused("number: must be a whole number")
+        if not isinstance(asked, list) or not 1 <= len(asked) <= SIDES:
+            raise hand.Refused(f"eyes: 1 to {SIDES} of them")
+        eyes = [(eye.get("which"), self.eyes.eye(eye)) for eye in asked if isinstance(eye, dict)]
+        if [which for which, _ in eyes if which not in range(SIDES)] or len(eyes) != len(asked):
+            raise hand.Refused(f"which: 0 to {SIDES - 1}")
+        return eyes, float(time_ms), request["kind"] == "film"
+
+    async def _show(self, socket, asked, head: dict, eye: hand.Eye, time_ms: float, whole: bool) -> None:
+        """One eye of a request, until a newer one is there."""
+        if not whole:
+            told, pixels = await self.kernels.call(hand.frame_of, self.hand, eye, time_ms)
+            await socket.send_bytes(packed(head | {"kind": "frame"} | told, pixels.data))
+            return
+        reading = None
+        async for part in self.kernels.pieces(hand.film_of(self.hand, eye)):
+            if asked.is_set():
+                return
+            if isinstance(part, hand.Shown):
+                # NumPy alone, so beside the drawing
+                reading = asyncio.ensure_future(run_in_threadpool(hand.parameters_of, part))
+                told = part.told() | {"command": eye.command}
+                await socket.send_bytes(packed(head | {"kind": "run"} | told))
+            else:
+                first, pixels = part
+                await socket.send_bytes(packed(head | {"kind": "frames", "first": first}, pixels.data))
+        if reading is not None and not asked.is_set():
+            await socket.send_bytes(packed(head | {"kind": "parameters", "values": await reading}))
+
+
+def _parsed(text: str | bytes) -> Any:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        raise hand.Refused("a request is JSON") from None
+
+
+async def measured(request: Request) -> Response:
+    """A measured history from the table that is sent: traces.csv, histories.csv, or one of the reader's own."""
+    # the name is for messages alone
+    name = re.sub(r"[^\w.() -]", "_", request.query_params.get("name", ""))[-80:].strip(". ") or "table"
+    data = await request.body()
+
+    def read() -> Response:
+        with tempfile.TemporaryDirectory(prefix="taichi_eye-page-") as folder:
+            path = Path(folder) / name
+            path.write_bytes(data)
+            try:
+                found = read_measured(path)
+            except SceneError as refused:
+                return PlainTextResponse(str(refused).replace(str(path), name) + "\n", 400)
+        every = max(1, math.ceil(len(found.time_ms) / POINTS_MAX))
+        told = {name: getattr(found, name)[::every].tolist() for name in ("time_ms", "displacement_mm")}
+        return JSONResponse(told | {"name": found.name, "column": found.column, "notes": list(found.notes)})
+
+    return await run_in_threadpool(read)

@@ -1,0 +1,364 @@
+"use strict";
+// An eye under the hand: what a slider asks for goes through one socket, the newest request alone is answered. While a
+// slider is dragged the frame of this time comes back, once it is let go the whole film. Every frame is kept here, so
+// time itself is dragged without asking anybody.
+
+const COLOURS = ["#14539a", "#c9641a"], MEASURED = "#3d8b57", FAR = 2, SHORT = new Set([
+  "a1_time_ms", "a1_velocity_m_s", "a1_length_mm", "a1_deflection_mm", "hc_time_ms", "deformation_amplitude_mm",
+  "hc_deflection_mm", "hc_circle_radius_mm", "peak_distance_mm", "da_ratio_2mm", "integrated_inverse_radius_per_mm",
+  "a2_time_ms", "a2_velocity_m_s", "whole_eye_movement_mm", "central_thickness_um", "iop_nct_mmhg", "biop_mmhg",
+  "sp_a1_mmhg_mm"]);
+const at = (id) => document.getElementById(id);
+const timings = { frame: [], film: [] };  // ms from the hand to the picture, as measured here
+window.timings = timings;
+const starts = new Map();  // when the hand asked, by number
+let offer, socket, number = 0, asked = null, measured = null, playing = null, failures = 0;
+const eyes = [0, 1].map((which) => ({ which, scene: null, values: {}, frames: [], run: null, parameters: {}, due: true,
+  preview: null }));
+
+function make(tag, settings = {}, ...children) {
+  const element = Object.assign(document.createElement(tag), settings);
+  element.append(...children);
+  return element;
+}
+
+const scene = (eye) => offer.scenes.find((one) => one.name === eye.scene);
+const shownEyes = () => (at("two").checked ? eyes : eyes.slice(0, 1));
+const now = () => Number(at("now").value);
+const figure = (value) => (value === null || value === undefined ? "-" : Number(value.toPrecision(4)).toString());
+
+// ---- the socket
+
+function connect() {
+  socket = new WebSocket(`ws://${location.host}/hand`);
+  socket.binaryType = "arraybuffer";
+  socket.onopen = () => { failures = 0; eyes.forEach((eye) => { eye.due = true; }); ask("film"); };
+  socket.onmessage = (event) => take(event.data);
+  socket.onclose = () => {
+    at("state").textContent = "the program that computes has gone; start it again";
+    failures += 1;
+    setTimeout(connect, Math.min(500 * 2 ** failures, 10000));
+  };
+}
+
+function ask(kind, only = null) {
+  const wanted = shownEyes().filter((eye) => (only ? eye === only : eye.due));
+  if (!wanted.length || socket.readyState !== WebSocket.OPEN) return;
+  number += 1;
+  asked = { number, kind };
+  starts.set(number, performance.now());
+  for (const eye of wanted) document.querySelectorAll(".refused")[eye.which].textContent = "";
+  socket.send(JSON.stringify({
+    number, kind, time_ms: now(),
+    eyes: wanted.map((eye) => ({ which: eye.which, scene: eye.scene, values: eye.values })),
+  }));
+}
+
+function take(data) {
+  const length = new DataView(data).getUint32(0, true);
+  const head = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
+  const pixels = new Uint8Array(data, 4 + length);
+  const eye = eyes[head.which], newest = asked !== null && head.number === asked.number;
+  if (head.kind === "refused") {
+    if (newest) document.querySelectorAll(".refused")[(eyes.find((one) => one.due) || eyes[0]).which].textContent = head.reason;
+    if (newest) settle();
+    return;
+  }
+  if (!newest && asked && asked.kind === "film" && head.kind === "frame") return;  // the film is on its way
+  if (head.kind === "frame") {
+    eye.preview = pixels;
+    eye.run = head;
+    draw();
+    told("frame", head.number);
+  } else if (!newest) {
+    return;
+  } else if (head.kind === "run") {
+    eye.run = head;
+    eye.frames = [];
+    document.querySelectorAll(".foot code")[eye.which].textContent = head.command;
+    document.querySelectorAll(".refused")[eye.which].textContent = head.stop;
+    plot();
+  } else if (head.kind === "frames") {
+    const size = scene(eye).width * scene(eye).height;
+    for (let k = 0; k * size < pixels.length; k += 1) eye.frames[head.first + k] = pixels.subarray(k * size, (k + 1) * size);
+    if (eye.frames.length > frameAt(eye, now())) { eye.preview = null; drawEye(eye); }
+  } else if (head.kind === "parameters") {
+    eye.parameters = head.values;
+    eye.due = false;
+    tabulate();
+    plot();
+  } else if (head.kind === "done") {
+    draw();
+    if (asked.kind === "film") told("film", head.number);
+  }
+}
+
+function told(kind, answered) {
+  const took = performance.now() - starts.get(answered);
+  for (const old of starts.keys()) if (old <= answered) starts.delete(old);
+  timings[kind].push(took);
+  if (kind === "film") settle();
+  at("state").textContent = kind === "film" ? `whole film in ${took.toFixed(0)} ms` : `frame in ${took.toFixed(0)} ms`;
+}
+
+function settle() {
+  document.body.dataset.settled = number;  // the last request for a film that was answered
+}
+
+// ---- pictures
+
+const paint = { image: null, words: null, gain: 0, table: new Uint32Array(256) };
+
+function frameAt(eye, time) {
+  const last = eye.run ? eye.run.time_ms.length - 1 : 0;
+  return Math.max(0, Math.min(Math.floor(time / scene(eye).interval_ms + 1e-9), last));
+}
+
+function drawEye(eye) {
+  const canvas = document.querySelectorAll(".eye canvas")[eye.which], { width, height } = scene(eye);
+  const grey = eye.preview || eye.frames[frameAt(eye, now())];
+  if (!grey || grey.length !== width * height) return;
+  if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+  const gain = Number(at("gain").value);
+  if (gain !== paint.gain) {
+    paint.gain = gain;
+    for (let k = 0; k < 256; k += 1) paint.table[k] = 0xff000000 | (Math.min(255, Math.round(k * gain)) * 0x010101);
+  }
+  if (!paint.image || paint.image.width !== width || paint.image.height !== height) {
+    paint.image = new ImageData(width, height);
+    paint.words = new Uint32Array(paint.image.data.buffer);
+  }
+  for (let k = 0; k < grey.length; k += 1) paint.words[k] = paint.table[grey[k]];
+  canvas.getContext("2d").putImageData(paint.image, 0, 0);
+}
+
+function draw() {
+  for (const eye of shownEyes()) drawEye(eye);
+  at("shown").textContent = `${now().toFixed(2)} ms`;
+  plot();
+}
+
+function nice(rough) {
+  const power = 10 ** Math.floor(Math.log10(rough));
+  return [1, 2, 2.5, 5, 10].find((m) => m * power >= rough * (1 - 1e-9)) * power;
+}
+
+function plot() {
+  const canvas = at("plot"), pen = canvas.getContext("2d"), what = at("what").value;
+  const [left, right, top, bottom] = [56, canvas.width - 56, 30, canvas.height - 44];
+  const drawn = shownEyes().filter((eye) => eye.run);
+  const end = Math.max(...shownEyes().map((eye) => scene(eye).duration_ms));
+  const most = Math.max(0.05, ...drawn.map((eye) => Math.max(...eye.run[what])), ...(measured ? measured.displacement_mm : []));
+  const load = Math.max(0.1, ...drawn.map((eye) => Math.max(...eye.run.puff_kpa)));
+  const step = nice(most / 4), high = step * Math.ceil(most * 1.05 / step);
+  const low = -0.06 * high;
+  const x = (time) => left + (time / end) * (right - left);
+  const y = (value) => bottom - ((value - low) / (high - low)) * (bottom - top);
+  pen.clearRect(0, 0, canvas.width, canvas.height);
+  pen.font = "13px system-ui, sans-serif";
+  pen.lineWidth = 1;
+  pen.strokeStyle = "#e4e7ea";
+  pen.fillStyle = "#6b737c";
+  pen.textAlign = "right";
+  pen.textBaseline = "middle";
+  for (let value = 0; value <= high + 1e-9; value += step) {
+    pen.beginPath(); pen.moveTo(left, y(value)); pen.lineTo(right, y(value)); pen.stroke();
+    pen.fillText(Number(value.toFixed(4)).toString(), left - 8, y(value));
+  }
+  pen.textAlign = "center";
+  pen.textBaseline = "top";
+  const tick = nice(end / 7);
+  for (let time = 0; time <= end + 1e-9; time += tick) pen.fillText(Number(time.toFixed(3)).toString(), x(time), bottom + 8);
+  pen.fillText("time, ms", (left + right) / 2, bottom + 26);
+  pen.textAlign = "left";
+  pen.fillText(`apex ${what === "deflection_mm" ? "deflection" : "deformation"}, mm`, left - 50, 4);
+  pen.textAlign = "right";
+  pen.fillText(`puff (shaded), up to ${load.toFixed(1)} kPa`, right + 50, 4);
+  const line = (times, values, colour, dash, width, scale = 1) => {
+    pen.strokeStyle = colour; pen.lineWidth = width; pen.setLineDash(dash);
+    pen.beginPath();
+    times.forEach((time, k) => pen[k ? "lineTo" : "moveTo"](x(time), y(values[k] * scale)));
+    pen.stroke(); pen.setLineDash([]);
+  };
+  drawn.forEach((eye) => {
+    const { time_ms: times, puff_kpa: puff } = eye.run;
+    pen.fillStyle = "rgba(110, 120, 130, 0.10)";
+    pen.beginPath(); pen.moveTo(x(times[0]), y(0));
+    times.forEach((time, k) => pen.lineTo(x(time), y(puff[k] / load * high * 0.95)));
+    pen.lineTo(x(times[times.length - 1]), y(0)); pen.fill();
+  });
+  if (measured) {
+    pen.fillStyle = MEASURED;
+    measured.time_ms.forEach((time, k) => {
+      if (time >= 0 && time <= end) { pen.beginPath(); pen.arc(x(time), y(measured.displacement_mm[k]), 2.4, 0, 7); pen.fill(); }
+    });
+  }
+  drawn.forEach((eye) => {
+    line(eye.run.time_ms, eye.run[what], COLOURS[eye.which], eye.which ? [8, 4] : [], 2.2);
+    if (eye.due) return;
+    for (const [mark, key] of [["A1", "a1_time_ms"], ["HC", "hc_time_ms"], ["A2", "a2_time_ms"]]) {
+      const time = eye.parameters[key];
+      if (time === null || time === undefined) continue;
+      line([time, time], [0, high], COLOURS[eye.which], eye.which ? [2, 5] : [2, 3], 0.9);
+      pen.fillStyle = COLOURS[eye.which];
+      pen.textAlign = eye.which ? "left" : "right";
+      pen.fillText(mark, x(time) + (eye.which ? 3 : -3), y(high) + 2 + 15 * eye.which);
+    }
+  });
+  line([now(), now()], [low, high], "#22262b", [], 1);
+}
+
+function tabulate() {
+  const [head, body] = [document.querySelector("#table thead"), document.querySelector("#table tbody")];
+  const shown = shownEyes();
+  head.replaceChildren(make("tr", {}, make("th", { textContent: "parameter" }), ...shown.map((eye) =>
+    make("th", { className: `n ${eye.which ? "other" : "one"}`, textContent: eye.scene })), make("th", { textContent: "unit" }),
+    make("th", { className: "n", textContent: "healthy eyes" })));
+  body.replaceChildren(...offer.parameters.filter((one) => SHORT.has(one.name)).map((one) => {
+    const row = make("tr", { title: one.said }, make("td", { textContent: one.said.split(":")[0] }));
+    row.dataset.name = one.name;
+    for (const eye of shown) {
+      const value = eye.parameters[one.name];
+      const cell = make("td", { className: "n", textContent: figure(value) });
+      if (one.norm && value !== null && value !== undefined) {
+        const z = (value - one.norm[0]) / one.norm[1];
+        cell.title = `z ${z.toFixed(1)}`;
+        if (Math.abs(z) > FAR) cell.classList.add("far");
+      }
+      row.append(cell);
+    }
+    row.append(make("td", { textContent: one.unit }),
+      make("td", { className: "n", textContent: one.norm ? `${one.norm[0]} \u00b1 ${one.norm[1]}` : "",
+        title: one.norm ? one.norm[2] : "" }));
+    return row;
+  }));
+}
+
+// ---- what the hand moves
+
+function moved(eye, slider, value, whole) {
+  eye.values[slider.name] = value;
+  eye.due = true;
+  pause();
+  ask(whole ? "film" : "frame", whole ? null : eye);
+}
+
+function sliders(eye) {
+  const own = scene(eye).values;
+  return offer.sliders.filter((slider) => slider.name in own).map((slider) => {
+    const start = own[slider.name];
+    // a scene's own value may lie between the steps, or beyond the ends
+    const input = make("input", { type: "range", min: Math.min(slider.low, start), max: Math.max(slider.high, start),
+      step: "any", value: start, title: slider.doc });
+    input.dataset.name = slider.name;
+    input.setAttribute("aria-label", slider.label);
+    const output = make("output", { textContent: `${figure(start)} ${slider.unit}` });
+    const row = make("div", { className: "slider" }, make("label", { textContent: slider.label, title: slider.doc }), input, output);
+    const value = () => Number((Math.round(Number(input.value) / slider.step) * slider.step).toPrecision(12));
+    const tell = (whole) => {
+      output.textContent = `${figure(value())} ${slider.unit}`;
+      row.classList.add("moved");
+      moved(eye, slider, value(), whole);
+    };
+    input.addEventListener("input", () => tell(false));
+    input.addEventListener("change", () => tell(true));
+    return row;
+  });
+}
+
+function panel(eye) {
+  const choice = make("select", {}, ...offer.scenes.map((one) => make("option", { value: one.name, textContent: one.name })));
+  choice.setAttribute("aria-label", "scene");
+  choice.value = eye.scene;
+  const room = make("div", { className: "sliders" }, ...sliders(eye));
+  const back = make("button", { className: "back", textContent: "back to the scene" });
+  const start = () => {
+    Object.assign(eye, { values: {}, frames: [], run: null, parameters: {}, due: true, preview: null });
+    room.replaceChildren(...sliders(eye));
+    at("now").max = Math.max(...shownEyes().map((one) => scene(one).duration_ms));
+    tabulate();
+    ask("film");
+  };
+  choice.addEventListener("change", () => { eye.scene = choice.value; start(); });
+  back.addEventListener("click", start);
+  const keep = make("button", { className: "keep", textContent: "save as scene" });
+  keep.addEventListener("click", () => save(eye));
+  const copy = make("button", { textContent: "copy" });
+  const code = make("code", { title: "run with the model of the scene" });
+  copy.addEventListener("click", () => navigator.clipboard.writeText(code.textContent));
+  return make("section", { className: eye.which ? "eye other" : "eye" }, make("div", { className: "top" }, choice, back, keep),
+    make("canvas", { width: scene(eye).width, height: scene(eye).height }), make("p", { className: "refused" }), room,
+    make("div", { className: "foot" }, make("span", { className: "note", textContent: "full model:" }), code, copy));
+}
+
+async function save(eye) {
+  const answer = await fetch("scene", { method: "POST", body: JSON.stringify({ scene: eye.scene, values: eye.values }) });
+  if (!answer.ok) { document.querySelectorAll(".refused")[eye.which].textContent = await answer.text(); return; }
+  const link = make("a", { href: URL.createObjectURL(await answer.blob()), download: "my_eye.toml" });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+}
+
+async function lay(file) {
+  if (!file) return;
+  const said = at("said");
+  said.className = "note";
+  said.textContent = "reading ...";
+  try {
+    const answer = await fetch(`measured?name=${encodeURIComponent(file.name)}`, { method: "POST", body: file });
+    if (!answer.ok) throw new Error(await answer.text());
+    measured = await answer.json();
+    at("what").value = measured.column === "deflection_mm" ? "deflection_mm" : "deformation_mm";
+    said.textContent = [`dots: ${measured.name}`, ...measured.notes].join("; ");
+    at("forget").hidden = false;
+  } catch (problem) {
+    said.className = "refused";
+    said.textContent = problem instanceof TypeError ? "refused: the file is too large, or the program has gone" : problem.message;
+  }
+  at("measured").value = "";
+  plot();
+}
+
+function pause() {
+  clearInterval(playing);
+  playing = null;
+  at("run").textContent = "\u25b6";
+}
+
+function play() {
+  if (playing) { pause(); return; }
+  at("run").textContent = "\u23f8";
+  const interval = scene(eyes[0]).interval_ms;
+  playing = setInterval(() => {
+    const later = now() + interval;
+    at("now").value = later > Number(at("now").max) ? 0 : later;
+    draw();
+  }, 40);
+}
+
+async function begin() {
+  offer = await (await fetch("eyes")).json();
+  const names = offer.scenes.map((one) => one.name);
+  eyes[0].scene = names[0];
+  eyes[1].scene = names.find((name) => name === "keratoconus" && name !== names[0]) || names[1] || names[0];
+  at("eyes").replaceChildren(...eyes.map(panel));
+  at("now").max = Math.max(...eyes.map((eye) => scene(eye).duration_ms));
+  at("now").value = Math.min(16.5, Number(at("now").max));
+  at("now").addEventListener("input", () => { pause(); draw(); });
+  at("run").addEventListener("click", play);
+  at("gain").addEventListener("input", draw);
+  at("what").addEventListener("change", plot);
+  at("measured").addEventListener("change", (event) => lay(event.target.files[0]));
+  at("forget").addEventListener("click", () => { measured = null; at("forget").hidden = true; at("said").textContent = ""; plot(); });
+  at("two").addEventListener("change", () => {
+    document.querySelectorAll(".eye")[1].hidden = !at("two").checked;
+    tabulate(); ask("film"); draw();
+  });
+  document.addEventListener("keydown", (event) => {
+    if (event.key === " " && event.target === document.body) { event.preventDefault(); play(); }
+  });
+  tabulate();
+  connect();
+}
+
+begin();
