@@ -10,8 +10,10 @@ pass; where a pilot is already the run that was asked for, it is the run. All in
                 8 take their place.
     inertia     thin-layer flow (`taichi_eye.solver.potential`) in the chamber at rest against cavity, both with 8
     elements. IOP         of `membrane` in a sealed chamber: the pressure's rise over the puff's.
-    map's age   of `added_mass`: thin layer with 8 elements refreshed at 1 spacing against 0.5, which goes with the
-                travel; taken AGED times, as it came out down to half of what it was (on shells).
+    map's age   of `added_mass`: at most AGE_SHARE of the inertia for each spacing that the wall of 8 elements travels
+                between two maps (7 to 23 % on sixteen scenes). Where that would ask for more maps: thin layer with 8
+                elements refreshed at 1 spacing against 0.5, taken AGED times, as it came out down to half of what it
+                was (on shells).
     map's grid  of `added_mass`, and as much of `mfpm`: `MAP_SHARE` of the inertia at 0.4 mm, as h^2. Measured on 10 ms
                 puffs against maps on fine clouds: 5 % of the inertia with the eye's own aqueous humour, 18 % with one
                 three times as dense.
@@ -47,6 +49,7 @@ from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
 PILOT = 8  # elements of the coarsest pilots
 OFFERED = 4 * PILOT  # of the coarsest uniform rung offered: it costs 10 ms, and fewer make a film of a polygon
 AGED = 2.0  # times the age of the maps that pilots show
+AGE_SHARE = 0.25  # of the inertia, that flow maps get wrong with each spacing of a pilot that they age
 MARGIN = 0.15  # share of the tolerance that the estimates leave free
 # seconds: of a flow map at 0.2 mm, of mfpm a node and step and its samples per ms, of a uniform rung at 0.4 mm per ms
 MAP_S, NODE_STEP_S, SAMPLES_S, UNIFORM_S = 5e-3, 9e-8, 0.02, 1.5e-4
@@ -217,18 +220,21 @@ class _Climb:
         # where eight elements blew up, they ring too coarsely to tell
         elements = PILOT if self.inertia is not None else 2 * PILOT
         coarse = self.thin or self._pilot(ThinLayer, elements)
-        rarely = self._pilot(ThinLayer, elements, {"numerics.refresh_travel": 1.0})
         fine = self._pilot(ThinLayer, 2 * elements)
         if self.inertia is None:
             self.inertia = self._apart(self._pilot(Cavity, elements), coarse)
         size = self.length_mm / elements
         self.space, self.size = self._apart(fine, coarse) / 3.0, 0.5 * size
-        age = AGED * self._apart(coarse, rarely) / 0.5  # per spacing of travel at `size`
         self.viscous = fine.viscous
         left = self.allowed - self.viscous
         space, grid = self.space, MAP_SHARE * self.inertia * (self.size / COARSEST_MM) ** 2
         self.space += grid  # as mfpm has it
         spacing = min(self._finest(self.space, self.size, 0.75 * left), COARSEST_MM, self.coarsest_mm)
+        age = AGE_SHARE * self.inertia  # per spacing of travel at `size`
+        if 0.5 * age * spacing / size > 0.25 * left:
+            # maps would have to be made oftener: worth a closer look
+            rarely = self._pilot(ThinLayer, elements, {"numerics.refresh_travel": 1.0})
+            age = min(age, AGED * self._apart(coarse, rarely) / 0.5)
         travel = min(0.5, float(0.25 * left / max(age * spacing / size, 1e-12))) if left > 0.0 else 0.0
         refined = (spacing / self.size) ** 2
         self.choice.estimates["added_mass"] = errors = {
