@@ -10,8 +10,10 @@ pass; where a pilot is already the run that was asked for, it is the run. All in
                 8 take their place.
     inertia     thin-layer flow (`taichi_eye.solver.potential`) in the chamber at rest against cavity, both with 8
     elements. IOP         of `membrane` in a sealed chamber: the pressure's rise over the puff's.
-    map's age   of `added_mass`: thin layer with 8 elements refreshed at 0.5 spacings against 0.25, which goes with the
-                travel; doubled, as on short puffs it came out half of what it was.
+    map's age   of `added_mass`: at most AGE_SHARE of the inertia for each spacing that the wall of 8 elements travels
+                between two maps (7 to 23 % on sixteen scenes). Where that would ask for more maps: thin layer with 8
+                elements refreshed at 1 spacing against 0.5, taken AGED times, as it came out down to half of what it
+                was (on shells).
     map's grid  of `added_mass`, and as much of `mfpm`: `MAP_SHARE` of the inertia at 0.4 mm, as h^2. Measured on 10 ms
                 puffs against maps on fine clouds: 5 % of the inertia with the eye's own aqueous humour, 18 % with one
                 three times as dense.
@@ -30,6 +32,7 @@ elements that blows up only says that inertia counts.
 import math
 import time
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -45,6 +48,8 @@ from taichi_eye.units import MM, MM3, MMHG, MPA_S, MS
 
 PILOT = 8  # elements of the coarsest pilots
 OFFERED = 4 * PILOT  # of the coarsest uniform rung offered: it costs 10 ms, and fewer make a film of a polygon
+AGED = 2.0  # times the age of the maps that pilots show
+AGE_SHARE = 0.25  # of the inertia, that flow maps get wrong with each spacing of a pilot that they age
 MARGIN = 0.15  # share of the tolerance that the estimates leave free
 # seconds: of a flow map at 0.2 mm, of mfpm a node and step and its samples per ms, of a uniform rung at 0.4 mm per ms
 MAP_S, NODE_STEP_S, SAMPLES_S, UNIFORM_S = 5e-3, 9e-8, 0.02, 1.5e-4
@@ -129,6 +134,8 @@ class _Climb:
             self.coarsest_mm /= TWIN_WIDER
         self.choice = Choice(scene)
         self.inertia: float | None = None  # in percent, once a thin layer has run
+        self.rough: _Pilot | None = None  # the pilots of PILOT elements that got to their ends
+        self.thin: _Pilot | None = None
         self.space, self.size = 1.0, 0.25  # space error in percent at a spacing in mm, until pilots tell
         self.slow = ""
 
@@ -178,7 +185,8 @@ class _Climb:
     def _uniform(self) -> bool:
         """membrane and cavity: no flow."""
         tolerance, sealed = self.numerics.tolerance_percent, self.scene.chamber.sealed
-        rough, thin = self._pilot(Cavity, PILOT), self._pilot(ThinLayer, PILOT, {"numerics.refresh_travel": 10.0})
+        self.rough = rough = self._pilot(Cavity, PILOT)
+        self.thin = thin = self._pilot(ThinLayer, PILOT)
         self.inertia, self.viscous = self._apart(rough, thin), thin.viscous
         if self.inertia + self.viscous > self.allowed:
             self.choice.estimates["cavity"] = {"inertia": self.inertia, "viscosity": self.viscous}
@@ -211,21 +219,22 @@ class _Climb:
         tolerance = self.numerics.tolerance_percent
         # where eight elements blew up, they ring too coarsely to tell
         elements = PILOT if self.inertia is not None else 2 * PILOT
-        coarse, often = (
-            self._pilot(ThinLayer, elements),
-            self._pilot(ThinLayer, elements, {"numerics.refresh_travel": 0.25}),
-        )
+        coarse = self.thin or self._pilot(ThinLayer, elements)
         fine = self._pilot(ThinLayer, 2 * elements)
         if self.inertia is None:
             self.inertia = self._apart(self._pilot(Cavity, elements), coarse)
         size = self.length_mm / elements
         self.space, self.size = self._apart(fine, coarse) / 3.0, 0.5 * size
-        age = 2.0 * self._apart(coarse, often) / 0.25  # per spacing of travel at `size`
         self.viscous = fine.viscous
         left = self.allowed - self.viscous
         space, grid = self.space, MAP_SHARE * self.inertia * (self.size / COARSEST_MM) ** 2
         self.space += grid  # as mfpm has it
         spacing = min(self._finest(self.space, self.size, 0.75 * left), COARSEST_MM, self.coarsest_mm)
+        age = AGE_SHARE * self.inertia  # per spacing of travel at `size`
+        if 0.5 * age * spacing / size > 0.25 * left:
+            # maps would have to be made oftener: worth a closer look
+            rarely = self._pilot(ThinLayer, elements, {"numerics.refresh_travel": 1.0})
+            age = min(age, AGED * self._apart(coarse, rarely) / 0.5)
         travel = min(0.5, float(0.25 * left / max(age * spacing / size, 1e-12))) if left > 0.0 else 0.0
         refined = (spacing / self.size) ** 2
         self.choice.estimates["added_mass"] = errors = {
@@ -238,10 +247,12 @@ class _Climb:
             return False
         travelled = float(np.abs(np.diff(fine.traces["apex_displacement_mm"])).sum())
         maps_s = MAP_S * (0.2 / spacing) ** 2.4 * travelled / (travel * spacing)
-        other_s, *_, other, by_sound = self._mfpm_setting()
-        if maps_s > other_s and other + by_sound <= tolerance:
-            self.slow = f"added_mass would take some {maps_s:.2g} s for its flow maps"
-            return False
+        if maps_s > self.numerics.duration_ms * SAMPLES_S:
+            # mfpm takes no less than that
+            other_s, *_, other, by_sound = self._mfpm_setting
+            if maps_s > other_s and other + by_sound <= tolerance:
+                self.slow = f"added_mass would take some {maps_s:.2g} s for its flow maps"
+                return False
         source = max(errors, key=errors.get)
         return self._take(
             "added_mass",
@@ -254,7 +265,7 @@ class _Climb:
 
     def _mfpm(self) -> None:
         tolerance = self.numerics.tolerance_percent
-        expected_s, c, spacing, error, by_sound = self._mfpm_setting()
+        expected_s, c, spacing, error, by_sound = self._mfpm_setting
         self.choice.estimates["mfpm"] = {"space": error, "sound speed": by_sound}
         self._take(
             "mfpm",
@@ -270,6 +281,7 @@ class _Climb:
                 f"{by_sound:.2g} % are expected, and no setting that auto offers does better"
             )
 
+    @cached_property
     def _mfpm_setting(self) -> tuple[float, float, float, float, float]:
         """The cheapest of SPEEDS with the spacing it leaves: time expected [s], c, spacing [mm], errors by space and
         sound."""
@@ -278,7 +290,7 @@ class _Climb:
             give = volume / (self.scene.aqueous.density_kg_m3 * PILOT_C**2) / MM3 * MMHG
             give += self.scene.chamber.compliance_mm3_mmhg
             yielding = self._pilot(Cavity, PILOT, {"chamber.compliance_mm3_mmhg": give})
-            soft = self._apart(yielding, self._pilot(Cavity, PILOT))
+            soft = self._apart(yielding, self.rough or self._pilot(Cavity, PILOT))
         except _Refused:
             soft = 1.0  # what the default eye has
         offered = []

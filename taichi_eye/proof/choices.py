@@ -3,12 +3,11 @@
 For each scene and tolerance: what auto picks, its true error against a converged reference, and what it cost, pilots
 included, beside the cheapest setting of a grid that would have passed: at most ASKED_RATIO times that or SPARED_S more,
 whichever is larger, is asked. The reference is `mfpm` extrapolated in h and c; the next coarser extrapolation says how
-uncertain it is. Costs are wall times of packing, set-up and solver, warm, medians, so they mean something only on a
-machine with nothing else to do.
+uncertain it is. Costs are wall times of packing, set-up and solver, warm, the least of several, for what else the
+machine does only adds.
 """
 
 import json
-import statistics
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -169,14 +168,14 @@ def _setting_of(choice: Choice) -> Setting:
 
 
 def _timed(scene) -> tuple[Choice, float]:
-    """The choice for a scene and the median time of making it [s], warm."""
+    """The choice for a scene and the least time of making it [s], warm."""
     choose(scene)
     times = []
-    for _ in range(5):
+    for _ in range(9):
         started = time.perf_counter()
         choice = choose(scene)
         times.append(time.perf_counter() - started)
-    return choice, statistics.median(times)
+    return choice, min(times)
 
 
 def report(only=(), out: str | None = None, json_file: str | None = None, progress: bool = True) -> bool:

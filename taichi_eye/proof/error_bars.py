@@ -228,7 +228,7 @@ def words(rung: str, found: Rung) -> str:
     """What was found on a rung, in a sentence."""
     said = (
         f"{rung} ({_settings(rung)}): errors of order {found.order:.2f}, a twin takes {100 * found.cost:.0f} % of the "
-        "time of the run's solver"
+        "time of the run without its film"
     )
     return said + (f"; stopped by a guard: {', '.join(found.stopped)}" if found.stopped else "")
 

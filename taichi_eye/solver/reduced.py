@@ -10,7 +10,7 @@ import ast
 import math
 from collections.abc import Callable
 from dataclasses import asdict
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -37,6 +37,7 @@ from taichi_eye.solver.workspace import capacity, reuse
 from taichi_eye.units import MM, MS
 
 BULK_MODULUS = 2.2e9  # Pa, water
+SMALLEST_WALL = 128  # nodes: walls below share one set of kernels, the coarsest pilot's and the finest offered
 MAPS = "neumann", "inverse", "neumann_change", "unit"  # of the flow, as `WallStepper.load_flow` takes them
 ADVICE = Advice(
     unstable='Lower numerics.cfl, or use numerics.fidelity = "mfpm".',
@@ -50,13 +51,21 @@ def puff_table(puff: Puff, clock: Clock) -> np.ndarray:
     sample (`WallStepper.advance`).
 
     The gain is that from half a row before to half a row after: of a pulse shorter than a row its share, and not what
-    it would be at that pace.
+    it would be at that pace. The tables of the last puffs are kept for the next runs under them: do not write to them.
     """
+    # a file's puff holds arrays, by which nothing can be looked up
+    return _table(puff, clock) if puff.samples is not None else _kept_table(puff, clock)
+
+
+def _table(puff: Puff, clock: Clock) -> np.ndarray:
     row = clock.sample_s / PUFF_ROWS
     times = np.arange(clock.samples * PUFF_ROWS + 2) * row
     impulse = np.append(0.0, np.cumsum(puff.impulse_at_apex(times)))
     gain = puff.impulse_at_apex(np.append(times - 0.5 * row, times[-1] + 0.5 * row))
     return np.column_stack([impulse, gain])
+
+
+_kept_table = lru_cache(maxsize=8)(_table)
 
 
 class _Wall:
@@ -97,7 +106,7 @@ class Reduced:
         self.cloud = cloud
         self.wall_count = cornea_elements(self.section, self.spacing) + 1
         refuse_endless(self.case, self.wall_count, nodes_flow=False)
-        size = capacity(self.wall_count, 16)
+        size = capacity(self.wall_count, SMALLEST_WALL)
         self.generation = backend.generation()
         kind = (self.generation, "wall", size, self.flowing)
         wall = reuse(self, kind, lambda: _Wall(size, self.flowing))
@@ -255,6 +264,10 @@ class Reduced:
     def _folding(self) -> Folding:
         return Folding.of(self.eye, self.section.cornea_nodes(self.wall_count - 1))
 
+    @cached_property
+    def _mass(self) -> np.ndarray:
+        return self.cornea.mass.to_numpy()[: self.wall_count]
+
     def _flow_maps(self):
         """What makes flow maps of a wall: an object with `refresh()` and `neumann`; asked for where `flowing`."""
         raise TypeError(f"{type(self).__name__} has no flow")
@@ -268,7 +281,7 @@ class Reduced:
         change = flow.neumann - before if before is not None else np.zeros_like(flow.neumann)
         self._neumann = flow.neumann
         area = ring_areas(self.cornea.place.to_numpy()[: self.wall_count])[:walls]
-        mass = self.cornea.mass.to_numpy()[:walls]
+        mass = self._mass[:walls]
         neumann = flow.neumann[:walls, :walls]
         system = np.eye(walls) + self.eye.liquid.density * neumann * ((area**2).sum(1) / mass)
         inverse = np.linalg.inv(system)

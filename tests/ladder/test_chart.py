@@ -66,7 +66,7 @@ def test_a_chart_knows_its_front_orders_and_recommendations(scene):
     )
     assert limit.traces["apex_displacement_mm"].max() == pytest.approx(1.0, abs=1e-9)
     assert limit.whole_s == pytest.approx(fine.whole_s + coarse.whole_s)
-    assert "mfpm h 0.2 c 160 extrapolated" not in charted.every
+    assert "mfpm h 0.2 c 10 extrapolated" not in charted.every
     shares = charted.shares()
     assert shares["cavity h 0.2"]["model"] == pytest.approx(2.0, rel=0.01)
     assert shares["mfpm h 0.2 c 40"]["sound speed"] == pytest.approx(100.0 * 10.0 / 40.0**2, rel=0.05)
