@@ -49,7 +49,7 @@ class Watch(Watcher):
         self.url = address.url
         self._newest: tuple[int, dict, tuple | None] = (0, {"state": "begun"}, None)
         self._packed: tuple[int, bytes] = (-1, b"")
-        self._cost = 0.0
+        self._cost, self._pressed = 0.0, False
         self._served = address.behind(self._app)
 
     def __enter__(self) -> Watch:
@@ -65,6 +65,8 @@ class Watch(Watcher):
 
     def opened(self, recording, held) -> None:
         super().opened(recording, held)
+        if self._pressed:
+            self.signals.ask(signal.SIGINT)
         self._tell({"state": "running"})
 
     def frame(self, moment) -> None:
@@ -109,6 +111,7 @@ class Watch(Watcher):
     async def _stop(self, request):
         from starlette.responses import PlainTextResponse
 
+        self._pressed = True
         if self.signals is not None:
             self.signals.ask(signal.SIGINT)
         return PlainTextResponse("the run ends at its next sample\n")
