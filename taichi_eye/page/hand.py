@@ -3,8 +3,9 @@
 All of what a tab shows is in its request: which scene, where each slider stands, which time is looked at. The server
 keeps none of it, so tabs cannot mix. While a slider is dragged the eye is run with DRAGGED elements up to the time that
 is looked at, and that frame is drawn; once it is let go, with FILMED elements to its end, and all frames are. With 16
-elements the apex of the healthy eye is 0.4 % too deep, with 32 it is right to 0.03 %; the cavity rung itself is some
-0.5 % off. Whether a shell folds is asked of the film alone: elements as long as a lobe is wide cannot tell.
+elements the apex of the healthy eye is 0.4 % too deep, with 24 it is 0.1 %; the cavity rung itself is some 0.5 % off.
+Whether a shell folds such elements, as long as a lobe is wide, cannot tell: that is asked of JUDGED elements, after the
+film has been shown.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 
 from taichi_eye import backend
 from taichi_eye.errors import RunStopped, SceneError
+from taichi_eye.eye.eye import eye_of
 from taichi_eye.film import FilmView, FrameState
 from taichi_eye.scene import Scene, load_scene
 from taichi_eye.scene.draft import written
@@ -27,7 +29,7 @@ from taichi_eye.scene.schema import AUTO, keys_of
 from taichi_eye.solver.reduced import Cavity
 from taichi_eye.units import MM, MS
 
-DRAGGED, FILMED = 16, 32  # elements of the cornea
+DRAGGED, FILMED, JUDGED = 16, 24, 32  # elements of the cornea
 FRAMES_A_PIECE = 12  # that are drawn before another tab has its turn
 NOTHING = np.empty(0)
 CAMERA = {"camera.view": "scheimpflug"}
@@ -228,7 +230,7 @@ class Hand:
             frames = max(math.floor(until_ms / camera.frame_interval_ms + 1e-9), 1)
             changes |= {"camera.frame_count": AUTO, "numerics.duration_ms": frames * camera.frame_interval_ms}
         simulation = Cavity(scene.but(changes, within_limits=False))
-        simulation.judges_folding = elements >= FILMED
+        simulation.judges_folding = elements >= JUDGED
         stop = ""
         try:
             simulation.run()
@@ -288,11 +290,18 @@ def film_of(hand: Hand, eye: Eye) -> Iterator[Shown | tuple[int, np.ndarray]]:
         yield first, hand.frames(shown, range(first, min(first + FRAMES_A_PIECE, len(shown.time_ms))))
 
 
+def fold_of(hand: Hand, eye: Eye, shown: Shown) -> str:
+    """Why a finer run ends before the one that was shown does: its shell folds. Empty where it does not."""
+    if not eye_of(eye.scene).cornea.is_shell:
+        return ""
+    finer = hand.run(eye.scene, JUDGED)
+    return finer.stop if len(finer.time_ms) < len(shown.time_ms) else ""
+
+
 def parameters_of(shown: Shown) -> dict[str, float | None]:
     """The clinic's parameters of a run, as `taichi_eye.analysis.simulated` reads them."""
     from taichi_eye.analysis.curves import curves_from_wall
     from taichi_eye.analysis.simulated import FRAMES_LEAST, Observed
-    from taichi_eye.eye.eye import eye_of
 
     if len(shown.time_ms) < FRAMES_LEAST:
         return {}

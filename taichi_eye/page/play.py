@@ -128,12 +128,15 @@ class Play:
                 request = _parsed(newest[0])
                 number = request.get("number") if isinstance(request, dict) else None
                 eyes, time_ms, whole = self._read(request)
+                shown = []
                 for which, eye in eyes:
-                    await self._show(socket, asked, {"number": number, "which": which}, eye, time_ms, whole)
+                    head = {"number": number, "which": which}
+                    shown.append((head, eye, await self._show(socket, asked, head, eye, time_ms, whole)))
                     if asked.is_set():
                         break
                 else:
                     await socket.send_bytes(packed({"number": number, "kind": "done"}))
+                    await self._judge(socket, asked, shown)
             except (hand.Refused, SceneError) as refused:
                 await socket.send_bytes(packed({"number": number, "kind": "refused", "reason": str(refused)}))
             except WebSocketDisconnect:
@@ -155,17 +158,26 @@ class Play:
             raise hand.Refused(f"which: 0 to {SIDES - 1}")
         return eyes, float(time_ms), request["kind"] == "film"
 
-    async def _show(self, socket, asked, head: dict, eye: hand.Eye, time_ms: float, whole: bool) -> None:
-        """One eye of a request, until a newer one is there."""
+    async def _judge(self, socket, asked, shown) -> None:
+        """Say which eyes of a request fold, once their films have been shown."""
+        for head, eye, run in shown:
+            if run is not None and not asked.is_set():
+                fold = await self.kernels.call(hand.fold_of, self.hand, eye, run)
+                if fold and not asked.is_set():
+                    await socket.send_bytes(packed(head | {"kind": "fold", "reason": fold}))
+
+    async def _show(self, socket, asked, head: dict, eye: hand.Eye, time_ms: float, whole: bool) -> hand.Shown | None:
+        """One eye of a request, until a newer one is there; its run, where its whole film was shown."""
         if not whole:
             told, pixels = await self.kernels.call(hand.frame_of, self.hand, eye, time_ms)
             await socket.send_bytes(packed(head | {"kind": "frame"} | told, pixels.data))
-            return
-        reading = None
+            return None
+        reading = run = None
         async for part in self.kernels.pieces(hand.film_of(self.hand, eye)):
             if asked.is_set():
-                return
+                return None
             if isinstance(part, hand.Shown):
+                run = part
                 # NumPy alone, so beside the drawing
                 reading = asyncio.ensure_future(run_in_threadpool(hand.parameters_of, part))
                 told = part.told() | {"command": eye.command}
@@ -175,6 +187,8 @@ class Play:
                 await socket.send_bytes(packed(head | {"kind": "frames", "first": first}, pixels.data))
         if reading is not None and not asked.is_set():
             await socket.send_bytes(packed(head | {"kind": "parameters", "values": await reading}))
+            return run
+        return None
 
 
 def _parsed(text: str | bytes) -> Any:

@@ -18,6 +18,7 @@ import contextlib
 import io
 import signal
 import time
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -26,9 +27,15 @@ from taichi_eye.page.needs import refuse_missing
 from taichi_eye.page.server import Address
 from taichi_eye.recording.observer import Watcher
 
-PACE_S, POLL_S, SHARE = 0.1, 0.04, 0.03
+PACE_S, POLL_S, SHARE = 0.15, 0.05, 0.015
 QUALITY = 85  # of the JPEG
 POINTS = 400  # of a trace
+PLOTTED = {
+    "time_ms": "time_ms",
+    "apex_mm": "apex_displacement_mm",
+    "puff_kpa": "puff_apex_kpa",
+    "pressure_kpa": "fluid_pressure_apex_kpa",
+}
 OVER = "complete", "ended"  # states after which nothing comes
 LAST_S = 0.5  # that pages have for the last message
 
@@ -40,9 +47,9 @@ class Watch(Watcher):
         refuse_missing()
         address = address or Address()
         self.url = address.url
-        self._newest: tuple[int, dict, np.ndarray | None] = (0, {"state": "begun"}, None)
+        self._newest: tuple[int, dict, tuple | None] = (0, {"state": "begun"}, None)
         self._packed: tuple[int, bytes] = (-1, b"")
-        self._cost = 0.0
+        self._cost, self._pressed = 0.0, False
         self._served = address.behind(self._app)
 
     def __enter__(self) -> Watch:
@@ -58,26 +65,19 @@ class Watch(Watcher):
 
     def opened(self, recording, held) -> None:
         super().opened(recording, held)
+        if self._pressed:
+            self.signals.ask(signal.SIGINT)
         self._tell({"state": "running"})
 
     def frame(self, moment) -> None:
-        traces = moment.simulation.traces
-        every = max(1, len(traces["time_ms"]) // POINTS)
-        numbers = {
-            name: np.round(traces[column][::every], 5).tolist()
-            for name, column in (
-                ("time_ms", "time_ms"),
-                ("apex_mm", "apex_displacement_mm"),
-                ("puff_kpa", "puff_apex_kpa"),
-                ("pressure_kpa", "fluid_pressure_apex_kpa"),
-            )
-        }
-        self._tell({"state": "running", "frame": moment.frame, "now_ms": moment.time_ms, **numbers}, moment.image)
+        # the arrays as they are: what a page needs of them is made once one asks
+        told = {"state": "running", "frame": moment.frame, "now_ms": moment.time_ms}
+        self._tell(told, (moment.image, moment.traces))
 
     def closed(self, ending) -> None:
         self._tell({"state": "writing"})
 
-    def _tell(self, told: dict, image: np.ndarray | None = None) -> None:
+    def _tell(self, told: dict, seen: tuple | None = None) -> None:
         version, before, kept = self._newest
         if (recording := getattr(self, "recording", None)) is not None:
             told |= {
@@ -86,7 +86,7 @@ class Watch(Watcher):
                 "frames": recording.scene.camera.frame_count,
             }
         told["at"] = time.time()
-        self._newest = version + 1, before | told, kept if image is None else image
+        self._newest = version + 1, before | told, kept if seen is None else seen
 
     # what the pages get, in the server's thread
 
@@ -111,6 +111,7 @@ class Watch(Watcher):
     async def _stop(self, request):
         from starlette.responses import PlainTextResponse
 
+        self._pressed = True
         if self.signals is not None:
             self.signals.ask(signal.SIGINT)
         return PlainTextResponse("the run ends at its next sample\n")
@@ -146,12 +147,18 @@ class Watch(Watcher):
 
     def _message(self) -> bytes:
         """The newest, packed once for all pages."""
-        version, told, image = self._newest
+        version, told, seen = self._newest
         if self._packed[0] != version:
             began = time.perf_counter()
-            self._packed = version, packed(told, b"" if image is None else _jpeg(image))
+            told, data = (told, b"") if seen is None else (told | _plotted(seen[1]), _jpeg(seen[0]))
+            self._packed = version, packed(told, data)
             self._cost = time.perf_counter() - began
         return self._packed[1]
+
+
+def _plotted(traces: Mapping[str, np.ndarray]) -> dict[str, list[float]]:
+    every = max(1, len(traces["time_ms"]) // POINTS)
+    return {name: np.round(traces[column][::every], 5).tolist() for name, column in PLOTTED.items()}
 
 
 def _jpeg(image: np.ndarray) -> bytes:

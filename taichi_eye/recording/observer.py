@@ -82,6 +82,11 @@ class Moment:
         self.wall = self.simulation.cornea.place.to_numpy()[: self.simulation.wall_count]
 
     @cached_property
+    def traces(self) -> dict[str, np.ndarray]:
+        """The traces so far."""
+        return self.simulation.traces
+
+    @cached_property
     def liquid(self):
         """Fields of the liquid: place, velocity, excess pressure, and how many nodes they hold."""
         return self.simulation.liquid() if needs_cloud(self.recording.scene) else (None, None, None, 0)
@@ -99,7 +104,7 @@ class Moment:
     def image(self) -> np.ndarray:
         """The frame of the film, uint8."""
         place, velocity, pressure, count = self.liquid
-        traces = self.simulation.traces
+        traces = self.traces
         return self.recording.view.render(
             FrameState(
                 time_ms=self.time_ms,

@@ -125,7 +125,7 @@ def test_the_film_is_that_of_the_cavity_rung_and_its_parameters_those_of_its_wal
     assert read == vars(truth) and read["a1_time_ms"] is not None
     # coarse, and yet within a per cent of what 48 elements have
     fine = worked.run(asked.scene, 48)
-    assert shown.apex_mm.max() == pytest.approx(fine.apex_mm.max(), rel=1e-3)
+    assert shown.apex_mm.max() == pytest.approx(fine.apex_mm.max(), rel=2e-3)
     assert worked.run(asked.scene, hand.DRAGGED).apex_mm.max() == pytest.approx(fine.apex_mm.max(), rel=8e-3)
     # dragged: the frame of the time that is looked at, and the history up to there
     time_ms = 10.0
@@ -141,3 +141,10 @@ def test_an_eye_that_leaves_its_validity_says_so_and_shows_what_there_is(eyes):
     shown, *pieces = hand.film_of(hand.Hand(), eye(eyes, "seed", iop=5, puff=25, globe=3))
     assert "stopped at" in shown.stop and 0 < len(shown.time_ms) < eyes.scenes["seed"][0].camera.frame_count
     assert sum(len(pixels) for _, pixels in pieces) == len(shown.time_ms)
+
+
+def test_a_shell_that_folds_is_said_to_after_its_film(eyes):
+    worked, asked = hand.Hand(), eye(eyes, "corvis_healthy", iop=5, puff=25, globe=3)
+    shown = worked.run(asked.scene, hand.FILMED)
+    assert "folded" in hand.fold_of(worked, asked, shown)
+    assert hand.fold_of(worked, eye(eyes, "seed"), worked.run(eyes.scenes["seed"][0], hand.FILMED)) == ""

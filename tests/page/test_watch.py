@@ -3,8 +3,10 @@
 import asyncio
 import io
 import json
+import signal
 import struct
 import threading
+import time
 import urllib.request
 
 import numpy as np
@@ -16,15 +18,40 @@ from websockets.exceptions import ConnectionClosed
 import taichi_eye
 from taichi_eye.bench import browser as browsers
 from taichi_eye.cli import main
+from taichi_eye.errors import Interrupted
 from taichi_eye.page.watch import Watch
 from taichi_eye.report.traces import read_traces
 
-WORDS = [
-    "numerics.fidelity=cavity",
-    "numerics.spacing_mm=0.4",
-    "camera.view=scheimpflug",
-    "camera.frame_interval_ms=0.1",
-]
+WORDS = {
+    "numerics.fidelity": "cavity",
+    "numerics.spacing_mm": 0.4,
+    "numerics.duration_ms": 7,
+    "camera.view": "scheimpflug",
+    "camera.frame_interval_ms": 0.25,
+    "output.gif": "false",
+}
+
+
+class Slow(Watch):
+    """As slow as a run that is worth watching."""
+
+    def frame(self, moment):
+        super().frame(moment)
+        time.sleep(0.03)
+
+
+class Pressed(Watch):
+    """Its stop button is pressed at the fifth frame."""
+
+    def frame(self, moment):
+        super().frame(moment)
+        if moment.frame == 5:
+            press(self.url)
+
+
+def press(url):
+    post = urllib.request.Request(f"{url}stop", b"", {"Origin": url.rstrip("/")})
+    assert urllib.request.urlopen(post, timeout=30).status == 200
 
 
 def look(url, found, leave_after=None):
@@ -51,7 +78,7 @@ def look(url, found, leave_after=None):
 
 @pytest.fixture(scope="module")
 def scene():
-    return taichi_eye.load_scene("seed", [*WORDS, "output.gif=false"])
+    return taichi_eye.load_scene("seed", [f"{key}={value}" for key, value in WORDS.items()])
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +88,7 @@ def alone(scene, tmp_path_factory):
 
 def test_pages_see_the_run_and_change_nothing(scene, alone, tmp_path):
     stays, goes = [], []
-    with Watch() as watch:
+    with Slow() as watch:
         threads = [look(watch.url, stays), look(watch.url, goes, leave_after=2)]
         while not stays:
             threads[0].join(0.01)
@@ -84,18 +111,19 @@ def test_pages_see_the_run_and_change_nothing(scene, alone, tmp_path):
     np.testing.assert_allclose(head["apex_mm"], result.traces["apex_displacement_mm"][at], atol=1e-5)
 
 
-def test_the_stop_button_ends_the_run_as_ctrl_c_does(alone, tmp_path):
-    words = [word for key in WORDS for word in ("--set", key)]
-    with browsers.served("run", "seed", *words, "--watch", "--quiet", "--out", "run", cwd=tmp_path) as (url, process):
-        post = urllib.request.Request(f"{url}stop", b"", {"Origin": url.rstrip("/")})
-        assert urllib.request.urlopen(post, timeout=30).status == 200
-        said = process.communicate(timeout=120)[1]
-    assert process.returncode == 130 and "interrupted" in said and "--resume run" in said
+def test_the_stop_button_ends_the_run_as_ctrl_c_does(scene, alone, tmp_path):
+    with pytest.raises(Interrupted) as stopped, Pressed() as watch:
+        taichi_eye.run(scene, tmp_path / "run", watch=watch)
     folder = tmp_path / "run"
-    assert json.loads((folder / "summary.json").read_text())["status"] == "stopped"
+    assert stopped.value.number == signal.SIGINT and stopped.value.folder == folder
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["status"] == "stopped" and 0 < summary["simulated_ms"] < scene.numerics.duration_ms
     assert {"film.mp4", "report.html", "traces.csv", ".run"} <= {path.name for path in folder.iterdir()}
-    result = taichi_eye.resume(folder)
-    assert result.summary["status"] == "complete"
+    # before its first sample, too, and again once it goes on
+    with pytest.raises(Interrupted), Watch() as watch:
+        press(watch.url)
+        taichi_eye.resume(folder, watch=watch)
+    assert taichi_eye.resume(folder).summary["status"] == "complete"
     for column, values in read_traces(folder / "traces.csv").items():
         np.testing.assert_array_equal(values, alone.traces[column])
 
@@ -111,14 +139,10 @@ def test_an_address_without_a_page_is_refused(capsys, tmp_path, monkeypatch):
 
 @pytest.mark.skipif(bool(browsers.missing()), reason=browsers.missing())
 def test_the_page_shows_the_run_and_its_button_ends_it(tmp_path):
-    words = [
-        "--set",
-        "numerics.fidelity=cavity",
-        "--set",
-        "camera.frame_interval_ms=0.01",
-        "--set",
-        "camera.view=scheimpflug",
-    ]
+    # three thousand small frames: a run of seconds
+    small = {"width_px": 128, "height_px": 64, "apex_column_px": 64, "pixel_x_mm": 0.08, "frame_interval_ms": 0.01}
+    keys = {**WORDS, "numerics.duration_ms": 32, **{f"camera.{name}": value for name, value in small.items()}}
+    words = [word for key, value in keys.items() for word in ("--set", f"{key}={value}")]
     with browsers.served("run", "seed", *words, "--watch", "--quiet", "--out", "run", cwd=tmp_path) as (url, process):
         with browsers.browser() as one:
             tab, closed = browsers.Tab(one, url), browsers.Tab(one, url)
@@ -126,7 +150,7 @@ def test_the_page_shows_the_run_and_its_button_ends_it(tmp_path):
             tab.page.wait_for_selector("body[data-frame]")
             first = int(tab.page.evaluate("document.body.dataset.frame"))
             picture = tab.page.evaluate("document.getElementById('film').toDataURL()")
-            while int(tab.page.evaluate("document.body.dataset.frame")) < first + 300:
+            while int(tab.page.evaluate("document.body.dataset.frame")) < first + 100:
                 tab.page.wait_for_timeout(20)
             assert tab.page.evaluate("document.getElementById('film').toDataURL()") != picture
             tab.page.locator("#stop").click()

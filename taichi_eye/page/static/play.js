@@ -87,6 +87,8 @@ function take(data) {
     eye.due = false;
     tabulate();
     plot();
+  } else if (head.kind === "fold") {
+    document.querySelectorAll(".refused")[head.which].textContent = `a finer run ends: ${head.reason}`;
   } else if (head.kind === "done") {
     draw();
     if (asked.kind === "film") told("film", head.number);
