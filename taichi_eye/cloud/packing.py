@@ -16,6 +16,7 @@ bench
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.spatial import Delaunay, cKDTree
@@ -259,6 +260,16 @@ def pack(section: Section, spacing: float, rounds: int = 300, repairs: int = 40)
     Raises SceneError where holes or gaps cannot be repaired (the spacing is too coarse for the section).
     """
     return fill(section, spacing, *boundary(section, spacing), rounds, repairs)
+
+
+@lru_cache(maxsize=16)
+def packed(section: Section, spacing: float) -> Cloud:
+    """The cloud that `pack` makes, from the last ones made where it is among them; its arrays cannot be written to."""
+    cloud = pack(section, spacing)
+    for value in vars(cloud).values():
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
+    return cloud
 
 
 def fill(

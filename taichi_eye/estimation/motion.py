@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -21,9 +21,8 @@ from scipy.signal import savgol_filter
 from taichi_eye.analysis.curves import REST_MS, SMOOTH_MM, X_STEP_MM, Curves, curves_from_wall, grid
 from taichi_eye.analysis.response import SIDE_MM, Histories, histories
 from taichi_eye.analysis.simulated import FRAMES_LEAST
-from taichi_eye.cloud.packing import Cloud, pack
+from taichi_eye.cloud.packing import packed
 from taichi_eye.eye.eye import REFERENCE_IOP, Eye, eye_of
-from taichi_eye.eye.section import Section
 from taichi_eye.ladder.batches import run_batch
 from taichi_eye.ladder.choose import choose
 from taichi_eye.ladder.trial import run_scene, run_to_stop
@@ -107,19 +106,13 @@ def cheap(scene: Scene, rung: str = "cavity") -> Motion:
         **_softer(scene),
     }
     changed = scene.but(changes, within_limits=False)
-    cloud = _packed(eye_of(changed).section, spacing * MM) if rung == "added_mass" else None
+    cloud = packed(eye_of(changed).section, spacing * MM) if rung == "added_mass" else None
     run = RUNS[rung](changed, cloud)
     run.judges_folding = False
     stop = run_to_stop(run)
     traces, (frame_ms, walls) = run.traces, run.wall_mm
     apex = np.array(traces["apex_displacement_mm"])
     return Motion(scene, np.array(traces["time_ms"]), apex, frame_ms, walls.copy(), str(stop) if stop else "")
-
-
-@lru_cache(maxsize=8)
-def _packed(section: Section, spacing: float) -> Cloud:
-    """A chamber's nodes, packed once: a search changes the chamber only with its radius."""
-    return pack(section, spacing)
 
 
 def _wall_mm(scene: Scene) -> float:

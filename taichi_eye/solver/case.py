@@ -3,7 +3,7 @@ user."""
 
 from dataclasses import dataclass
 
-from taichi_eye.cloud.packing import Cloud, pack
+from taichi_eye.cloud.packing import Cloud, packed
 from taichi_eye.errors import SceneError
 from taichi_eye.eye.eye import Eye, eye_of
 from taichi_eye.scene import Scene
@@ -27,20 +27,20 @@ def case_of(scene: Scene) -> Case:
 
 def cloud_of(scene: Scene) -> Cloud:
     """The packed node cloud of a resolved scene; SceneError where its chamber cannot be filled at its spacing."""
-    return pack(eye_of(scene).section, scheme_of(scene).spacing)
+    return packed(eye_of(scene).section, scheme_of(scene).spacing)
 
 
 def clouds_of(scenes) -> list[Cloud]:
     """The clouds of scenes, packed once for each chamber and spacing; raises like `cloud_of`."""
-    packed: dict[tuple, Cloud] = {}
+    found: dict[tuple, Cloud] = {}
     clouds = []
     for number, scene in enumerate(scenes):
         key = eye_of(scene).section, scheme_of(scene).spacing
-        if key not in packed:
+        if key not in found:
             try:
-                packed[key] = pack(*key)
+                found[key] = packed(*key)
             except SceneError as problem:
                 which = f"scene {number} of the batch: " if len(scenes) > 1 else ""
                 raise SceneError(f"{which}{problem}") from None
-        clouds.append(packed[key])
+        clouds.append(found[key])
     return clouds

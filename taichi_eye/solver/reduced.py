@@ -15,7 +15,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from taichi_eye import backend
-from taichi_eye.cloud.packing import Cloud, cornea_elements, pack
+from taichi_eye.cloud.packing import Cloud, cornea_elements, packed
 from taichi_eye.cloud.quality import measure
 from taichi_eye.errors import RunStopped
 from taichi_eye.eye.jet import central_curvature
@@ -294,7 +294,7 @@ class Reduced:
         """Potential flow on the node cloud, which is packed once it is asked for."""
         if self._liquid is None:
             if self.cloud is None:
-                self.cloud = pack(self.section, self.spacing)
+                self.cloud = packed(self.section, self.spacing)
             size = capacity(self.cloud.count)
             kind = (self.generation, "liquid", self.cornea, size)
             self._liquid = reuse(self, kind, lambda: _Liquid(self.cornea, size))
@@ -452,7 +452,7 @@ class AddedMass(Reduced):
     def __init__(self, scene, cloud: Cloud | None = None):
         super().__init__(scene, cloud)
         if cloud is None:
-            self.cloud = pack(self.section, self.spacing)
+            self.cloud = packed(self.section, self.spacing)
 
     def _flow_maps(self):
         return self._potential_flow()

@@ -23,7 +23,7 @@ SMALLEST = 2048  # nodes: scenes below share one set of kernels, in this process
 # step
 # at 16000 nodes)
 SPREAD = 56
-FEWEST = 32  # eyes of a batch, likewise
+FEWEST = 32  # eyes, likewise: one eye and a batch share their kernels, too
 
 _free: dict[tuple, list] = {}
 
@@ -78,5 +78,5 @@ def reuse(holder, kind: tuple, make):
 
 def borrow(holder, nodes: int, eyes: int, basis: str) -> Workspace:
     """A workspace for `nodes` nodes of `eyes` eyes; free again once `holder` is gone."""
-    sizes = capacity(nodes) + SPREAD, 1 if eyes == 1 else capacity(eyes, FEWEST)
+    sizes = capacity(nodes) + SPREAD, capacity(eyes, FEWEST)
     return reuse(holder, (backend.generation(), *sizes, basis), lambda: Workspace(*sizes, basis))
