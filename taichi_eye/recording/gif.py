@@ -11,7 +11,7 @@ from taichi_eye.film.display import brightened
 from taichi_eye.recording.observer import Observer
 from taichi_eye.recording.workroom import Log
 
-WIDTH_PX, STRIDE, COLOURS = 480, 3, 128  # small enough for a README
+WIDTH_PX, STRIDE, COLOURS = 480, 3, 192  # small enough for a README
 FRAMES = 100  # at most; a longer film is thinned
 
 
