@@ -92,12 +92,19 @@ def draw_page(
     ]
     top = axes[0, 0]
     top.plot(time, history.apex_mm, color=BLUE, linewidth=1.8, label="apex deformation")
-    top.plot(time, history.apex_mm - history.whole_eye_mm, color=ORANGE, linewidth=1.4, label="apex deflection")
-    top.plot(time, history.whole_eye_mm, color=GREEN, linewidth=1.2, label="whole-eye movement")
+    top.plot(
+        time,
+        history.apex_mm - history.whole_eye_mm,
+        color=ORANGE,
+        linewidth=1.4,
+        linestyle="--",
+        label="apex deflection",
+    )
+    top.plot(time, history.whole_eye_mm, color=GREEN, linewidth=1.2, linestyle="-.", label="whole-eye movement")
     if truth is not None:
         top.plot(truth.time_ms, truth.apex_mm, color=INK, linewidth=0.8, linestyle=":", label="computed apex")
     top.set_ylabel("mm, inwards")
-    top.legend(frameon=False, fontsize=8, loc="upper left")
+    top.legend(frameon=False, fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
 
     speed = axes[0, 1]
     speed.plot(time, history.velocity_m_s, color=BLUE, linewidth=1.6)

@@ -30,6 +30,7 @@ GROUP = 10  # frames; groups of one would double the size of the file
 THREADS = 2  # what a coded frame looks like depends on their number
 QUEUED_FRAMES = 16  # that may wait for the encoder while the simulation goes on
 PARAMETERS = 7  # NAL unit that opens each group
+CHROMA = 40  # levels between the channels of a pixel that is coloured, in a GIF's palette
 SMALL_BYTES = 1_000_000  # a film so small goes into a page as it is
 SLIM_QUALITY, SLIM_DENOISE = 30, "hqdn3d=4:4:3:3"  # of a film within a page: without the sensor's grain, a fiftieth
 
@@ -307,6 +308,24 @@ def shrunk(frame: np.ndarray, width_px: int) -> np.ndarray:
     return np.asarray(Image.fromarray(frame).resize(size, Image.Resampling.BOX))
 
 
+def _palette(sample: np.ndarray, colours: int) -> Image.Image:
+    """So many colours of a picture: an even ramp for pixels that are grey, and as many each for what is nearly grey and
+    for what is coloured, of which there are few: the grain of the slit image would take all."""
+    pixels = sample.reshape(-1, 3)
+    chroma = np.ptp(pixels.astype(np.int16), axis=1)
+    grey, coloured = pixels[chroma == 0], [pixels[chroma > CHROMA], pixels[(chroma > 0) & (chroma <= CHROMA)]]
+    parts = [part for part in coloured if len(part)]
+    share = colours // (len(parts) + (len(grey) > 0))
+    table: list[int] = []
+    if len(grey):
+        table += np.repeat(np.linspace(0, int(grey.max()), share).round().astype(int), 3).tolist()
+    for part in parts:
+        table += Image.fromarray(part[None]).quantize(share, Image.Quantize.MEDIANCUT).getpalette()[: 3 * share]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(table)
+    return palette
+
+
 def write_gif(frames: Iterable[np.ndarray], path: str | Path, *, fps: float = 25.0, colours: int = 64) -> None:
     """A looping GIF of uint8 frames ([H, W] or [H, W, 3]), of one palette taken from a spread of them; whole or absent.
 
@@ -315,11 +334,7 @@ def write_gif(frames: Iterable[np.ndarray], path: str | Path, *, fps: float = 25
     images = [Image.fromarray(frame).convert("RGB") for frame in frames]
     if not images:
         raise ValueError("a GIF needs at least one frame")
-    sample = images[:: max(1, len(images) // 6)]
-    strip = Image.new("RGB", (images[0].width, images[0].height * len(sample)))
-    for k, image in enumerate(sample):
-        strip.paste(image, (0, k * image.height))
-    palette = strip.quantize(colours, dither=Image.Dither.NONE)
+    palette = _palette(np.concatenate([np.asarray(image) for image in images[:: max(1, len(images) // 6)]]), colours)
     images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     with replacing(Path(path)) as temporary:
         images[0].save(

@@ -6,9 +6,9 @@ what the current fields show and nothing else. Every pixel takes the node neares
 minimum over (distance, colour), which does not depend on the order of nodes. The section is drawn for
 r >= 0 and mirrored, column by column from the puff down to the back.
 
-The colour limits are those of the scene, fixed for the whole film: pressure from the IOP to the IOP plus a
-quarter of the puff's peak (a sealed chamber gains about a fifth of it), speed from 0 to 0.03 m/s per kPa of
-peak.
+The colour limits are those of the scene, fixed for the whole film: speed from 0 to 0.018 m/s per kPa of the
+puff's peak, which the default eye comes to under the edge of its dent; pressure from the IOP to the IOP plus a
+quarter of the puff's peak (a sealed chamber gains about a fifth of it, everywhere alike).
 """
 
 from dataclasses import dataclass
@@ -434,7 +434,7 @@ def section_size(scene) -> int:
 def colour_limits(scene) -> tuple[float, float]:
     """Ends of the colour scale: pressure less the IOP [Pa] or speed [m/s]; see the head of this module."""
     if scene.camera.colour_by == "speed":
-        return 0.0, 0.03 * peak_load_kpa(scene)
+        return 0.0, 0.018 * peak_load_kpa(scene)
     return 0.0, 0.25 * peak_load_kpa(scene) * KPA
 
 

@@ -97,7 +97,9 @@ class Scheimpflug:
         self.seed, self.interval_ms = camera.seed, camera.frame_interval_ms
         self.height, self.width = camera.height_px, camera.width_px
         self.apex_column, self.plain, self.specks = camera.apex_column_px, camera.optics == "plain", camera.specks
-        self.atlas = glyph_atlas(max(8, round(0.065 * self.height))) if camera.stamp else None
+        letters = glyph_atlas(max(8, round(0.065 * self.height)))
+        self.atlas = letters if camera.stamp else None
+        self.marks = (letters, round(1.0 / camera.pixel_x_mm)) if camera.marks else None  # and the bar [px]
         numbers = {
             PIXEL_X: camera.pixel_x_mm * 1e-3,
             PIXEL_Y: camera.pixel_y_mm * 1e-3,
@@ -129,7 +131,17 @@ class Scheimpflug:
         if self.atlas is not None:
             mask = self.atlas.mask(f"{state.time_ms:.2f} ms")
             stamp(image, mask, self.height - mask.shape[0] - 3, self.width - mask.shape[1] - 6, STAMP_LEVEL)
+        if self.marks is not None:
+            self._mark(image, *self.marks, state.passed)
         return image
+
+    def _mark(self, image: np.ndarray, letters, bar: int, passed: str) -> None:
+        """A bar of 1 mm in the lower left corner, what it means, and the line beside them, in place."""
+        bottom = self.height - 5
+        image[bottom - 1 : bottom + 1, 6 : 6 + bar] = STAMP_LEVEL
+        image[bottom - 4 : bottom + 4, [6, 5 + bar]] = STAMP_LEVEL
+        said = letters.mask("1 mm" + (f"   {passed}" if passed else ""))
+        stamp(image, said, self.height - said.shape[0] - 3, 12 + bar, STAMP_LEVEL)
 
     def _lights(self, camera, line_stroma: float) -> np.ndarray:
         """Brightness of stroma and anterior line over the chamber in each column, shape [width, 2]."""

@@ -28,6 +28,7 @@ class FrameState:
         puff_radial: load now on the wall nodes, shape [wall_count], in any unit (only its shape along the
             wall is drawn), or None for the scene's profile.
         retreat_mm: of the whole eye from the camera, added in the slit image.
+        passed: what stands beside the bar of a marked slit image, one line.
     """
 
     time_ms: float
@@ -42,3 +43,4 @@ class FrameState:
     trace_puff_kpa: np.ndarray
     puff_radial: np.ndarray | None = None
     retreat_mm: float = 0.0
+    passed: str = ""

@@ -12,3 +12,8 @@ def packed(head: Mapping[str, Any], data: bytes | memoryview = b"") -> bytes:
     """The length of the head (4 bytes, little endian), the head as JSON, the data."""
     text = json.dumps(head, allow_nan=False).encode()
     return b"".join((struct.pack("<I", len(text)), text, data))
+
+
+def sized(message: bytes) -> bytes:
+    """A message of a stream: its length (4 bytes, little endian) before it."""
+    return struct.pack("<I", len(message)) + message

@@ -1,13 +1,15 @@
 """The page of `taichi-eye play`: one or two eyes under the hand, and what their sliders ask for.
 
     /                the page            /eyes     scenes, sliders and parameters that it offers
-    /hand            a socket of a tab: {"number", "kind": "frame" | "film", "time_ms", "eyes": [{"which", "scene",
-                     "values"}]} in, messages of `message.packed` out
+    /hand            a socket of a tab: {"number", "time_ms", "eyes": [{"which", "scene", "values"}]} in, for each eye
+                     a `packed` frame out
+    /film            POST of {"eyes": [...]}: whole films, a stream of messages, each `packed` after its length
     /scene           POST of an eye: its scene file, to keep
     /measured        POST of a table: its history, to lay over
 
-Of a tab only the newest request is worked on: a newer one ends the one before at its next piece. A tab that is closed
-takes its request along.
+Of a tab only the newest request is worked on. A newer frame overtakes an older one in the socket; whole films, too much
+for a socket, are streams that the tab breaks off before it asks for more, and that end at their next piece. A tab that
+is closed takes its requests along.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from typing import Any
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -33,7 +35,7 @@ from taichi_eye.analysis.norms import POPULATIONS, judged_by
 from taichi_eye.errors import SceneError
 from taichi_eye.page import hand
 from taichi_eye.page.files import STATIC, page
-from taichi_eye.page.message import packed
+from taichi_eye.page.message import packed, sized
 from taichi_eye.page.thread import Kernels
 from taichi_eye.report.compare import read_measured
 from taichi_eye.scene import dump_scene
@@ -52,6 +54,7 @@ class Play:
             routes=[
                 Route("/", page("play.html")),
                 Route("/eyes", self.offer),
+                Route("/film", self.film, methods=["POST"]),
                 Route("/scene", self.scene, methods=["POST"]),
                 Route("/measured", measured, methods=["POST"]),
                 WebSocketRoute("/hand", self.tab),
@@ -105,7 +108,7 @@ class Play:
         )
 
     async def tab(self, socket: WebSocket) -> None:
-        """A tab: its newest request, until it is closed."""
+        """A tab: the frames of its newest request, until it is closed."""
         await socket.accept()
         newest: list[str] = []
         asked = asyncio.Event()
@@ -126,69 +129,72 @@ class Play:
             number = None
             try:
                 request = _parsed(newest[0])
-                number = request.get("number") if isinstance(request, dict) else None
-                eyes, time_ms, whole = self._read(request)
-                shown = []
+                number, time_ms, eyes = self._read(request)
                 for which, eye in eyes:
-                    head = {"number": number, "which": which}
-                    shown.append((head, eye, await self._show(socket, asked, head, eye, time_ms, whole)))
+                    told, pixels = await self.kernels.call(hand.frame_of, self.hand, eye, time_ms)
+                    head = {"number": number, "which": which, "kind": "frame"}
+                    await socket.send_bytes(packed(head | told, pixels.data))
                     if asked.is_set():
                         break
-                else:
-                    await socket.send_bytes(packed({"number": number, "kind": "done"}))
-                    await self._judge(socket, asked, shown)
             except (hand.Refused, SceneError) as refused:
                 await socket.send_bytes(packed({"number": number, "kind": "refused", "reason": str(refused)}))
             except WebSocketDisconnect:
                 return
 
-    def _read(self, request: Any) -> tuple[list[tuple[int, hand.Eye]], float, bool]:
-        """Eyes with their sides, the time that is looked at, and whether whole films are asked for."""
-        if not isinstance(request, dict) or request.get("kind") not in ("frame", "film"):
-            raise hand.Refused("a request is for a frame or a film")
-        asked, time_ms, number = (request.get(name) for name in ("eyes", "time_ms", "number"))
+    def _read(self, request: Any) -> tuple[int, float, list[tuple[int, hand.Eye]]]:
+        """The number of a request for frames, the time that is looked at, and its eyes."""
+        eyes = self._eyes(request)
+        time_ms, number = request.get("time_ms"), request.get("number")
         if isinstance(time_ms, bool) or not isinstance(time_ms, int | float) or not 0.0 <= time_ms <= 1e4:
             raise hand.Refused("time_ms: must be a number from 0 to 10000")
         if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < 2**53:
             raise hand.Refused("number: must be a whole number")
+        return number, float(time_ms), eyes
+
+    def _eyes(self, request: Any) -> list[tuple[int, hand.Eye]]:
+        """The eyes of a request, each with its side."""
+        asked = request.get("eyes") if isinstance(request, dict) else None
         if not isinstance(asked, list) or not 1 <= len(asked) <= SIDES:
             raise hand.Refused(f"eyes: 1 to {SIDES} of them")
         eyes = [(eye.get("which"), self.eyes.eye(eye)) for eye in asked if isinstance(eye, dict)]
         if [which for which, _ in eyes if which not in range(SIDES)] or len(eyes) != len(asked):
             raise hand.Refused(f"which: 0 to {SIDES - 1}")
-        return eyes, float(time_ms), request["kind"] == "film"
+        return eyes
 
-    async def _judge(self, socket, asked, shown) -> None:
-        """Say which eyes of a request fold, once their films have been shown."""
-        for head, eye, run in shown:
-            if run is not None and not asked.is_set():
-                fold = await self.kernels.call(hand.fold_of, self.hand, eye, run)
-                if fold and not asked.is_set():
-                    await socket.send_bytes(packed(head | {"kind": "fold", "reason": fold}))
+    async def film(self, request: Request) -> Response:
+        """Whole films."""
+        try:
+            eyes = self._eyes(_parsed(await request.body()))
+        except hand.Refused as refused:
+            return PlainTextResponse(f"{refused}\n", 400)
+        return StreamingResponse(self._films(eyes), media_type="application/octet-stream")
 
-    async def _show(self, socket, asked, head: dict, eye: hand.Eye, time_ms: float, whole: bool) -> hand.Shown | None:
-        """One eye of a request, until a newer one is there; its run, where its whole film was shown."""
-        if not whole:
-            told, pixels = await self.kernels.call(hand.frame_of, self.hand, eye, time_ms)
-            await socket.send_bytes(packed(head | {"kind": "frame"} | told, pixels.data))
-            return None
-        reading = run = None
+    async def _films(self, eyes: list[tuple[int, hand.Eye]]):
+        runs = []
+        try:
+            for which, eye in eyes:
+                async for message, run in self._film(which, eye):
+                    yield sized(message)
+                    runs += [(which, eye, run)] if run is not None else []
+            yield sized(packed({"kind": "done"}))
+            for which, eye, run in runs:
+                if fold := await self.kernels.call(hand.fold_of, self.hand, eye, run):
+                    yield sized(packed({"kind": "fold", "which": which, "reason": fold}))
+        except SceneError as refused:
+            yield sized(packed({"kind": "refused", "reason": str(refused)}))
+
+    async def _film(self, which: int, eye: hand.Eye):
+        """The messages of one eye, and with the first of them its run."""
+        reading = None
         async for part in self.kernels.pieces(hand.film_of(self.hand, eye)):
-            if asked.is_set():
-                return None
             if isinstance(part, hand.Shown):
-                run = part
                 # NumPy alone, so beside the drawing
                 reading = asyncio.ensure_future(run_in_threadpool(hand.parameters_of, part))
-                told = part.told() | {"command": eye.command}
-                await socket.send_bytes(packed(head | {"kind": "run"} | told))
+                yield packed({"kind": "run", "which": which, "command": eye.command} | part.told()), part
             else:
                 first, pixels = part
-                await socket.send_bytes(packed(head | {"kind": "frames", "first": first}, pixels.data))
-        if reading is not None and not asked.is_set():
-            await socket.send_bytes(packed(head | {"kind": "parameters", "values": await reading}))
-            return run
-        return None
+                yield packed({"kind": "frames", "which": which, "first": first}, pixels.data), None
+        yield packed({"kind": "parameters", "which": which, "values": await reading}), None
 
 
 def _parsed(text: str | bytes) -> Any:

@@ -7,10 +7,11 @@ import math
 import numpy as np
 
 from taichi_eye.film import shrunk, write_gif
+from taichi_eye.film.display import brightened
 from taichi_eye.recording.observer import Observer
 from taichi_eye.recording.workroom import Log
 
-WIDTH_PX, STRIDE, COLOURS = 480, 3, 128  # small enough for a README
+WIDTH_PX, STRIDE, COLOURS = 480, 3, 192  # small enough for a README
 FRAMES = 100  # at most; a longer film is thinned
 
 
@@ -29,7 +30,7 @@ class Gif(Observer):
 
     def frame(self, moment) -> None:
         if moment.frame % self._stride == 0:
-            self._log.append(shrunk(moment.image, WIDTH_PX))
+            self._log.append(shrunk(brightened(moment.image, self.recording.scene), WIDTH_PX))
 
     def held(self) -> dict:
         return self._log.held()

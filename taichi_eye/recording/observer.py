@@ -22,6 +22,7 @@ from taichi_eye.analysis.error_bar import ErrorBar
 from taichi_eye.eye.jet import central_curvature
 from taichi_eye.film import FilmView, FrameState
 from taichi_eye.ladder.rungs import needs_cloud
+from taichi_eye.recording.marks import Marks
 from taichi_eye.report.compare import Measured
 from taichi_eye.report.history import History, summarise
 from taichi_eye.scene import Scene
@@ -53,10 +54,21 @@ class Recording:
     error_bar: ErrorBar | None = None
     notes: list[str] = field(default_factory=list)
     summary: dict = field(default_factory=dict)
+    _marks: Marks | None = None
 
     def elapsed_s(self) -> float:
         """Seconds that the run has taken, those before it was resumed included."""
         return self.clock.get("total_s", 0.0) + time.perf_counter() - self.started
+
+    def passed(self, moment: Moment) -> str:
+        """What a frame's film has passed by then (`taichi_eye.recording.marks`); nothing where no walls are kept."""
+        if self.walls is None:
+            return ""
+        if self._marks is None:
+            self._marks = Marks()
+            for row in self.walls.read()[: moment.frame]:
+                self._marks.see(float(row["time_ms"]), row["wall"], float(row["retreat_mm"]))
+        return self._marks.see(moment.time_ms, moment.wall, moment.retreat_mm)
 
     @cached_property
     def view(self) -> FilmView:
@@ -119,6 +131,7 @@ class Moment:
                 trace_puff_kpa=traces["puff_apex_kpa"],
                 puff_radial=self.load,
                 retreat_mm=self.retreat_mm,
+                passed=self.recording.passed(self) if self.recording.scene.camera.marks else "",
             )
         )
 

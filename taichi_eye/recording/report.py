@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from taichi_eye.film import EncoderError, slim
+from taichi_eye.film.display import gain_of
 from taichi_eye.recording.observer import Observer
 from taichi_eye.recording.summary import summary_of
 from taichi_eye.report import result as page
@@ -50,7 +51,7 @@ def _parts(recording, ending) -> list[str]:
         doubts.insert(0, f"Not complete: {summary['reason']}")
     film, parameters = folder / "film.mp4", ""
     try:
-        gain = page.SLIT_GAIN if scene.camera.view == "scheimpflug" and scene.camera.optics == "full" else 1.0
+        gain = gain_of(scene) if scene.camera.view == "scheimpflug" else 1.0
         shown = page.video(slim(film), gain) if film.is_file() else ""
     except (EncoderError, OSError) as problem:
         shown = ""

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from taichi_eye.film import FrameState
+from taichi_eye.film.display import gain_of, levels
 from taichi_eye.recording.observer import Observer
 
 
 class Sheet(Observer):
-    """Draws the slit image again from the walls logged: it shows nothing else."""
+    """Draws the slit image again from the walls logged: it shows nothing else, with the gain of `film.display`."""
 
     def closed(self, ending) -> None:
         # matplotlib's figures are slow to load: not before the film is done
@@ -25,7 +26,7 @@ class Sheet(Observer):
 
     def _slit(self, row) -> np.ndarray:
         nothing = np.empty(0)
-        return self.recording.view.scheimpflug_frame(
+        frame = self.recording.view.scheimpflug_frame(
             FrameState(
                 time_ms=float(row["time_ms"]),
                 wall=row["wall"],
@@ -40,3 +41,4 @@ class Sheet(Observer):
                 retreat_mm=float(row["retreat_mm"]),
             )
         )
+        return levels(gain_of(self.recording.scene))[frame]

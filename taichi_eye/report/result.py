@@ -15,7 +15,6 @@ from taichi_eye.report.folder import write_text
 from taichi_eye.report.page import footer, plain, table
 
 NAME = "report.html"
-SLIT_GAIN = 1.6  # the instrument's grey levels are dark on a projector
 BEGIN, END = '<main class="taichi-eye">', "</main>"
 STYLE = """.taichi-eye{font:15px/1.5 system-ui,sans-serif;color:#22262b;background:#fff;max-width:75rem;margin:0 auto;
 padding:0 1rem}

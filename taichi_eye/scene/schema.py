@@ -272,7 +272,7 @@ class Camera:
     view: str = key(
         "both", "slit image, node cloud, or the one above the other", choices=("scheimpflug", "particles", "both")
     )
-    colour_by: str = key("pressure", "colour of the nodes", choices=("pressure", "speed"))
+    colour_by: str = key("speed", "colour of the nodes", choices=("pressure", "speed"))
     width_px: int = key(576, "width of the slit image, even", unit="px", at_least=64, at_most=4096)
     height_px: int = key(200, "height of the slit image, even", unit="px", at_least=64, at_most=4096)
     pixel_x_mm: float = key(0.015625, "width of a pixel", unit="mm", at_least=1e-4, at_most=1)
@@ -297,6 +297,10 @@ class Camera:
     noise: bool = key(True, "grain of the sensor")
     seed: int = key(1, "seed of the grain", at_least=0, at_most=2**31 - 1)
     stamp: bool = key(True, "time stamp in the image")
+    marks: bool = key(
+        False,
+        "a bar of 1 mm in the slit image, and the times of A1, HC and A2 once they are passed; no instrument has them",
+    )
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import struct
 import threading
 import time
 
+import httpx
 import numpy as np
 import pytest
 from starlette.testclient import TestClient
@@ -64,9 +65,9 @@ def client(page):
     return TestClient(Guard(page.app, {HERE}), base_url=f"http://{HERE}")
 
 
-def request(number, kind="film", iop=15, time_ms=5.0, which=0, scene="seed"):
+def request(number=0, iop=15, time_ms=5.0, which=0, scene="seed"):
     eyes = [{"which": which, "scene": scene, "values": {"iop": iop}}]
-    return json.dumps({"number": number, "kind": kind, "time_ms": time_ms, "eyes": eyes})
+    return json.dumps({"number": number, "time_ms": time_ms, "eyes": eyes})
 
 
 def unpacked(data):
@@ -74,32 +75,43 @@ def unpacked(data):
     return json.loads(data[4 : 4 + length]), np.frombuffer(data[4 + length :], np.uint8)
 
 
-def answer(socket):
-    """All messages up to the end of a request."""
+def messages(stream):
+    """The messages of a whole stream."""
     found = []
-    while not found or found[-1][0]["kind"] not in ("done", "refused"):
-        found.append(unpacked(socket.receive_bytes()))
+    while stream:
+        length = struct.unpack("<I", stream[:4])[0]
+        found.append(unpacked(stream[4 : 4 + length]))
+        stream = stream[4 + length :]
     return found
 
 
 def test_a_film_is_its_run_its_frames_in_order_and_its_parameters(client):
-    with client.websocket_connect(f"ws://{HERE}/hand", headers=OWN) as socket:
-        socket.send_text(request(7, iop=21))
-        messages = answer(socket)
-    kinds = [head["kind"] for head, _ in messages]
+    answer = client.post("/film", content=request(iop=21, which=1), headers=OWN)
+    found = messages(answer.content)
+    kinds = [head["kind"] for head, _ in found]
     assert kinds == ["run", "frames", "frames", "frames", "parameters", "done"]
-    assert {head["number"] for head, _ in messages} == {7}
-    assert messages[0][0]["command"] == "taichi-eye run seed --set eye.iop_mmhg=21.0"
-    assert [head["first"] for head, _ in messages[1:4]] == [0, 12, 24]
-    pixels = np.concatenate([pixels for _, pixels in messages[1:4]])
+    assert {head["which"] for head, _ in found[:-1]} == {1}
+    assert found[0][0]["command"] == "taichi-eye run seed --set eye.iop_mmhg=21.0"
+    assert [head["first"] for head, _ in found[1:4]] == [0, 12, 24]
+    pixels = np.concatenate([pixels for _, pixels in found[1:4]])
     assert len(pixels) == 30 * 24 and (pixels == 21).all()
+
+
+def test_two_eyes_are_two_films_one_after_the_other(client):
+    eyes = [{"which": k, "scene": name, "values": {"iop": 12 + k}} for k, name in enumerate(("seed", "corvis_healthy"))]
+    found = messages(client.post("/film", json={"eyes": eyes}, headers=OWN).content)
+    for which in (0, 1):
+        pixels = np.concatenate([pixels for head, pixels in found if head.get("which") == which])
+        assert (pixels == 12 + which).all() and len(pixels) == 30 * 24
+    assert [head["kind"] for head, _ in found].count("done") == 1
 
 
 def test_a_frame_while_dragging_comes_with_the_history_so_far(client):
     with client.websocket_connect(f"ws://{HERE}/hand", headers=OWN) as socket:
-        socket.send_text(request(1, "frame", iop=9))
-        (head, pixels), _ = answer(socket)
-    assert head["kind"] == "frame" and (pixels == 9).all() and len(pixels) == 24 and len(head["time_ms"]) == 30
+        socket.send_text(request(3, iop=9))
+        head, pixels = unpacked(socket.receive_bytes())
+    assert head["kind"] == "frame" and head["number"] == 3 and len(head["time_ms"]) == 30
+    assert (pixels == 9).all() and len(pixels) == 24
 
 
 def test_of_a_tab_the_newest_request_alone_is_computed(page, client):
@@ -111,37 +123,36 @@ def test_of_a_tab_the_newest_request_alone_is_computed(page, client):
             time.sleep(0.001)
         time.sleep(0.2)  # all of them have come in by now
         page.hand.held.set()
-        messages = answer(socket)
-    assert messages[-1][0] == {"number": 40, "kind": "done"}
-    assert page.hand.ran[-1] == 45 and len(page.hand.ran) <= 3
-    # nothing of a request that was overtaken comes after the newest has begun
-    numbers = [head["number"] for head, _ in messages]
-    assert numbers == sorted(numbers)
+        numbers = []
+        while not numbers or numbers[-1] != 40:
+            numbers.append(unpacked(socket.receive_bytes())[0]["number"])
+    assert numbers == sorted(numbers) and page.hand.ran[-1] == 45 and len(page.hand.ran) <= 3
 
 
-@pytest.mark.parametrize(
-    "text, said",
-    [
-        ("{", "JSON"),
-        ("[" * 5000, "JSON"),
-        ("[]", "frame or a film"),
-        (request(1, "stop"), "frame or a film"),
-        (request(1, time_ms=-1), "time_ms"),
-        (request(1, time_ms=1e9), "time_ms"),
-        (request(1, which=2), "which"),
-        (request(1, iop=101), "eye.iop_mmhg = 101.0: must be a number in mmHg, >= 1 and <= 100"),
-        (request(-1), "number"),
-        (json.dumps({"number": 1, "kind": "film", "time_ms": 1, "eyes": [{}, {}, {}]}), "eyes: 1 to 2"),
-        (json.dumps({"number": 1, "kind": "film", "time_ms": 1, "eyes": [3]}), "which"),
-    ],
-)
+REFUSED = [
+    ("{", "JSON"),
+    ("[" * 5000, "JSON"),
+    ("[]", "eyes: 1 to 2"),
+    (request(which=2), "which"),
+    (request(iop=101), "eye.iop_mmhg = 101.0: must be a number in mmHg, >= 1 and <= 100"),
+    (request(scene="/etc/passwd"), "there are seed, corvis_healthy"),
+    (json.dumps({"number": 1, "time_ms": 1, "eyes": [{}, {}, {}]}), "eyes: 1 to 2"),
+    (json.dumps({"number": 1, "time_ms": 1, "eyes": [3]}), "which"),
+]
+OF_FRAMES = [(request(1, time_ms=-1), "time_ms"), (request(1, time_ms=1e9), "time_ms"), (request(-1), "number")]
+
+
+@pytest.mark.parametrize("text, said", REFUSED + OF_FRAMES)
 def test_a_request_that_is_none_is_refused_and_the_tab_lives_on(client, text, said):
     with client.websocket_connect(f"ws://{HERE}/hand", headers=OWN) as socket:
         socket.send_text(text)
-        (head, _) = answer(socket)[-1]
+        head, _ = unpacked(socket.receive_bytes())
         assert head["kind"] == "refused" and said in head["reason"]
-        socket.send_text(request(2, "frame"))
-        assert answer(socket)[-1][0] == {"number": 2, "kind": "done"}
+        socket.send_text(request(2))
+        assert unpacked(socket.receive_bytes())[0]["kind"] == "frame"
+    if (text, said) in REFUSED:
+        answer = client.post("/film", content=text, headers=OWN)
+        assert answer.status_code == 400 and said in answer.text
 
 
 def test_the_scene_that_is_saved_is_the_one_that_is_shown(client, tmp_path):
@@ -194,27 +205,30 @@ def test_the_page_and_all_that_it_names_are_served_by_itself(client):
 def test_many_tabs_get_each_its_own_and_those_that_vanish_harm_nobody(page):
     address = Address()
     behind = address.behind(lambda: page.app)
+    origin = f"http://127.0.0.1:{address.port}"
     url = f"ws://127.0.0.1:{address.port}/hand"
 
-    async def tab(number):
-        async with connect(url, origin=f"http://127.0.0.1:{address.port}", max_size=None, compression=None) as socket:
+    async def tab(number, web):
+        async with connect(url, origin=origin, max_size=None, compression=None) as socket:
             for turn in range(4):
                 iop = 5 + number + 20 * turn
                 await socket.send(request(turn, iop=iop))
-                if number % 2 and turn == 2:
-                    socket.transport.abort()
-                    return None
-                kinds, pixels = [], []
-                while "done" not in kinds:
-                    head, frame = unpacked(await socket.recv())
-                    kinds.append(head["kind"])
-                    pixels.append(frame)
-                pixels = np.concatenate(pixels)
-                assert len(pixels) == 30 * 24 and (pixels == iop).all()
+                head, pixels = unpacked(await socket.recv())
+                assert head["number"] == turn and (pixels == iop).all()
+                asked = web.stream("POST", f"{origin}/film", content=request(iop=iop), headers={"Origin": origin})
+                async with asked as answer:
+                    if number % 2 and turn == 2:  # the tab is closed in the midst of a film
+                        await anext(answer.aiter_raw())
+                        socket.transport.abort()
+                        return None
+                    found = messages(b"".join([part async for part in answer.aiter_raw()]))
+                pixels = np.concatenate([pixels for head, pixels in found if head["kind"] == "frames"])
+                assert len(pixels) == 30 * 24 and (pixels == iop).all() and found[-1][0]["kind"] == "done"
             return number
 
     async def all_tabs():
-        return await asyncio.wait_for(asyncio.gather(*(tab(number) for number in range(TABS))), 60)
+        async with httpx.AsyncClient(timeout=60, limits=httpx.Limits(max_connections=None)) as web:
+            return await asyncio.wait_for(asyncio.gather(*(tab(number, web) for number in range(TABS))), 60)
 
     try:
         found = asyncio.run(all_tabs())
@@ -224,6 +238,33 @@ def test_many_tabs_get_each_its_own_and_those_that_vanish_harm_nobody(page):
         with contextlib.suppress(Exception):
             asyncio.run(_open(url, "http://evil.example"))
             pytest.fail("another origin was let in")
+    finally:
+        behind.stop()
+
+
+def test_a_film_that_is_broken_off_is_not_drawn_to_its_end(page):
+    drawn, going = [], threading.Event()
+
+    def frames(shown, numbers):
+        drawn.append(numbers)
+        assert going.wait(10)
+        return np.zeros((len(numbers), 200, 576), np.uint8)
+
+    page.hand.frames = frames
+    address = Address()
+    behind = address.behind(lambda: page.app)
+    origin = f"http://127.0.0.1:{address.port}"
+    try:
+        with httpx.stream("POST", f"{origin}/film", content=request(), headers={"Origin": origin}) as answer:
+            assert answer.status_code == 200
+            while not drawn:
+                time.sleep(0.001)
+        time.sleep(0.3)  # the server has heard of it by now
+        going.set()
+        time.sleep(0.3)
+        assert len(drawn) == 1
+        with httpx.stream("POST", f"{origin}/film", content=request(), headers={"Origin": origin}) as answer:
+            assert messages(answer.read())[-1][0]["kind"] == "done" and len(drawn) == 4
     finally:
         behind.stop()
 

@@ -13,6 +13,7 @@ from taichi_eye.analysis.names import NAMES
 from taichi_eye.analysis.norms import judged_by
 from taichi_eye.analysis.response import Response
 from taichi_eye.analysis.simulated import response_of
+from taichi_eye.recording.marks import Marks
 from taichi_eye.report import result as page
 
 EVIL = "<img src=x onerror=alert(1)>&amp;"
@@ -126,3 +127,16 @@ def test_the_page_of_an_analysis_is_the_same_kind_of_page(result, tmp_path):
 
 def test_every_parameter_has_a_full_name():
     assert list(NAMES) == list(Response.__dataclass_fields__)
+
+
+def test_marks_of_a_film_stand_where_the_reading_of_the_whole_has_them(result, scene):
+    marks, said = Marks(), []
+    with np.load(result.folder / "wall.npz") as wall:  # the retreat is in it
+        for time_ms, r, z in zip(wall["time_ms"], wall["r_mm"], wall["z_mm"]):
+            said.append((time_ms, marks.see(float(time_ms), 1e-3 * np.column_stack([r, z]), 0.0)))
+    response, interval = response_of(scene).response, scene.camera.frame_interval_ms
+    for name, time in (("A1", response.a1_time_ms), ("A2", response.a2_time_ms), ("HC", response.hc_time_ms)):
+        assert marks.times_ms[name] == pytest.approx(time, abs=interval)
+        first = next(when for when, text in said if name in text)  # once it is passed, and not before
+        assert time - interval < first < time + 3 * interval
+    assert said[-1][1].split()[::2] == ["A1", "HC", "A2"]

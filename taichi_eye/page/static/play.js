@@ -1,7 +1,7 @@
 "use strict";
-// An eye under the hand: what a slider asks for goes through one socket, the newest request alone is answered. While a
-// slider is dragged the frame of this time comes back, once it is let go the whole film. Every frame is kept here, so
-// time itself is dragged without asking anybody.
+// An eye under the hand. While a slider is dragged its frame at this time comes through a socket, the newest request
+// alone is answered; once it is let go the whole film comes as a stream, which is broken off before anything else is
+// asked for. Every frame is kept here, so time itself is dragged without asking anybody.
 
 const COLOURS = ["#14539a", "#c9641a"], MEASURED = "#3d8b57", FAR = 2, SHORT = new Set([
   "a1_time_ms", "a1_velocity_m_s", "a1_length_mm", "a1_deflection_mm", "hc_time_ms", "deformation_amplitude_mm",
@@ -12,7 +12,7 @@ const at = (id) => document.getElementById(id);
 const timings = { frame: [], film: [] };  // ms from the hand to the picture, as measured here
 window.timings = timings;
 const starts = new Map();  // when the hand asked, by number
-let offer, socket, number = 0, asked = null, measured = null, playing = null, failures = 0;
+let offer, socket, film = null, number = 0, measured = null, playing = null, failures = 0;
 const eyes = [0, 1].map((which) => ({ which, scene: null, values: {}, frames: [], run: null, parameters: {}, due: true,
   preview: null }));
 
@@ -41,70 +41,108 @@ function connect() {
   };
 }
 
+const refusals = () => document.querySelectorAll(".refused");
+
 function ask(kind, only = null) {
   const wanted = shownEyes().filter((eye) => (only ? eye === only : eye.due));
-  if (!wanted.length || socket.readyState !== WebSocket.OPEN) return;
+  if (!wanted.length) return;
   number += 1;
-  asked = { number, kind };
-  starts.set(number, performance.now());
-  for (const eye of wanted) document.querySelectorAll(".refused")[eye.which].textContent = "";
-  socket.send(JSON.stringify({
-    number, kind, time_ms: now(),
-    eyes: wanted.map((eye) => ({ which: eye.which, scene: eye.scene, values: eye.values })),
-  }));
+  if (film) film.abort();
+  film = null;
+  for (const eye of wanted) refusals()[eye.which].textContent = "";
+  const request = { number, time_ms: now(),
+    eyes: wanted.map((eye) => ({ which: eye.which, scene: eye.scene, values: eye.values })) };
+  if (kind === "film") whole(request, performance.now());
+  else if (socket.readyState === WebSocket.OPEN) {
+    starts.set(number, performance.now());
+    socket.send(JSON.stringify(request));
+  }
 }
 
-function take(data) {
-  const length = new DataView(data).getUint32(0, true);
-  const head = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
-  const pixels = new Uint8Array(data, 4 + length);
-  const eye = eyes[head.which], newest = asked !== null && head.number === asked.number;
-  if (head.kind === "refused") {
-    if (newest) document.querySelectorAll(".refused")[(eyes.find((one) => one.due) || eyes[0]).which].textContent = head.reason;
-    if (newest) settle();
-    return;
+async function whole(request, start) {
+  const mine = film = new AbortController();
+  try {
+    const answer = await fetch("film", { method: "POST", body: JSON.stringify(request), signal: mine.signal });
+    if (!answer.ok) { refused(await answer.text(), request); return; }
+    await messages(answer.body.getReader(), (data) => {
+      if (film !== mine) return;
+      if (unpack(data).head.kind !== "done") { take(data, request); return; }
+      tabulate();
+      draw();
+      told("film", performance.now() - start);
+      settle(request.number);
+    });
+  } catch (problem) {
+    if (problem.name !== "AbortError" && !(problem instanceof TypeError)) throw problem;  // overtaken, or the program has gone
   }
-  if (!newest && asked && asked.kind === "film" && head.kind === "frame") return;  // the film is on its way
-  if (head.kind === "frame") {
+}
+
+// What a stream brings, each message once it is whole.
+async function messages(reader, each) {
+  let head = new Uint8Array(4), body = null, filled = 0;
+  for (;;) {
+    const { done, value } = await reader.read();
+    if (done) return;
+    for (let at = 0; at < value.length;) {
+      const room = body || head, part = value.subarray(at, at + room.length - filled);
+      room.set(part, filled);
+      filled += part.length;
+      at += part.length;
+      if (filled < room.length) continue;
+      filled = 0;
+      if (body === null) { body = new Uint8Array(new DataView(head.buffer).getUint32(0, true)); continue; }
+      each(body.buffer);
+      body = null;
+    }
+  }
+}
+
+function unpack(data) {
+  const length = new DataView(data).getUint32(0, true);
+  return { head: JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length))), pixels: new Uint8Array(data, 4 + length) };
+}
+
+function refused(reason, request) {
+  refusals()[request ? request.eyes[0].which : 0].textContent = reason;
+  settle(request ? request.number : number);
+}
+
+function take(data, request = null) {
+  const { head, pixels } = unpack(data), eye = eyes[head.which];
+  if (head.kind === "refused") {
+    refused(head.reason, request);
+  } else if (head.kind === "frame") {
+    if (film) return;  // the whole film is on its way
     eye.preview = pixels;
     eye.run = head;
     draw();
-    told("frame", head.number);
-  } else if (!newest) {
-    return;
+    told("frame", performance.now() - starts.get(head.number));
+    for (const old of starts.keys()) if (old <= head.number) starts.delete(old);
   } else if (head.kind === "run") {
     eye.run = head;
     eye.frames = [];
     document.querySelectorAll(".foot code")[eye.which].textContent = head.command;
-    document.querySelectorAll(".refused")[eye.which].textContent = head.stop;
-    plot();
+    refusals()[eye.which].textContent = head.stop;
   } else if (head.kind === "frames") {
     const size = scene(eye).width * scene(eye).height;
+    const before = eye.frames.length, wanted = frameAt(eye, now());
     for (let k = 0; k * size < pixels.length; k += 1) eye.frames[head.first + k] = pixels.subarray(k * size, (k + 1) * size);
-    if (eye.frames.length > frameAt(eye, now())) { eye.preview = null; drawEye(eye); }
+    if (before <= wanted && wanted < eye.frames.length) { eye.preview = null; drawEye(eye); }
   } else if (head.kind === "parameters") {
     eye.parameters = head.values;
     eye.due = false;
-    tabulate();
-    plot();
   } else if (head.kind === "fold") {
-    document.querySelectorAll(".refused")[head.which].textContent = `a finer run ends: ${head.reason}`;
-  } else if (head.kind === "done") {
-    draw();
-    if (asked.kind === "film") told("film", head.number);
+    refusals()[eye.which].textContent = `a finer run ends: ${head.reason}`;
   }
 }
 
-function told(kind, answered) {
-  const took = performance.now() - starts.get(answered);
-  for (const old of starts.keys()) if (old <= answered) starts.delete(old);
+function told(kind, took) {
   timings[kind].push(took);
-  if (kind === "film") settle();
   at("state").textContent = kind === "film" ? `whole film in ${took.toFixed(0)} ms` : `frame in ${took.toFixed(0)} ms`;
 }
 
-function settle() {
-  document.body.dataset.settled = number;  // the last request for a film that was answered
+function settle(answered) {
+  document.body.dataset.settled = answered;  // the last request that was answered to its end
 }
 
 // ---- pictures
