@@ -228,6 +228,9 @@ def _bars(study: Study, found: Sequence[Effect]) -> Figure:
         axes.tick_params(axis="x", labelsize=7)
         axes.grid(axis="x", color="#e4e7ea", linewidth=0.6)
     panes[0].invert_yaxis()
+    bars, names = panes[0].get_legend_handles_labels()
+    if bars:
+        canvas.legend(bars, names, loc="outside upper center", ncols=len(bars), fontsize=7, frameon=False)
     return canvas
 
 
@@ -246,7 +249,6 @@ def _index_bars(axes, place: np.ndarray, some: Sequence[Effect]) -> None:
             error_kw={"elinewidth": 0.9, "ecolor": "#22262b"},
         )
     axes.set_xlabel("Sobol index", fontsize=8)
-    axes.legend(fontsize=6, frameon=False)
 
 
 def _span_bars(axes, place: np.ndarray, some: Sequence[Effect]) -> None:
