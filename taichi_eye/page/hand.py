@@ -3,7 +3,7 @@
 All of what a tab shows is in its request: which scene, where each slider stands, which time is looked at. The server
 keeps none of it, so tabs cannot mix. While a slider is dragged the eye is run with DRAGGED elements up to the time that
 is looked at, and that frame is drawn; once it is let go, with FILMED elements to its end, and all frames are. With 16
-elements the apex of the healthy eye is 0.4 % too deep, with 24 it is 0.1 %; the cavity rung itself is some 0.5 % off.
+elements the apex of the healthy eye is 0.4 % too deep, with 20 it is 0.2 %; the cavity rung itself is some 0.5 % off.
 Whether a shell folds such elements, as long as a lobe is wide, cannot tell: that is asked of JUDGED elements, after the
 film has been shown.
 """
@@ -29,7 +29,7 @@ from taichi_eye.scene.schema import AUTO, keys_of
 from taichi_eye.solver.reduced import Cavity
 from taichi_eye.units import MM, MS
 
-DRAGGED, FILMED, JUDGED = 16, 24, 32  # elements of the cornea
+DRAGGED, FILMED, JUDGED = 16, 20, 32  # elements of the cornea
 FRAMES_A_PIECE = 12  # that are drawn before another tab has its turn
 NOTHING = np.empty(0)
 CAMERA = {"camera.view": "scheimpflug"}

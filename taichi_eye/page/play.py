@@ -5,7 +5,7 @@
                      a `packed` frame out
     /film            POST of {"eyes": [...]}: whole films, a stream of messages, each `packed` after its length
     /scene           POST of an eye: its scene file, to keep
-    /measured        POST of a table: its history, to lay over
+    /measured        POST of a file: a measured history, or the curves of a film, to lay over
 
 Of a tab only the newest request is worked on. A newer frame overtakes an older one in the socket; whole films, too much
 for a socket, are streams that the tab breaks off before it asks for more, and that end at their next piece. A tab that
@@ -17,9 +17,6 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-import re
-import tempfile
-from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
@@ -33,16 +30,14 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from taichi_eye.analysis.names import NAMES, unit_of
 from taichi_eye.analysis.norms import POPULATIONS, judged_by
 from taichi_eye.errors import SceneError
-from taichi_eye.page import hand
+from taichi_eye.page import hand, laid
 from taichi_eye.page.files import STATIC, page
 from taichi_eye.page.message import packed, sized
 from taichi_eye.page.thread import Kernels
-from taichi_eye.report.compare import read_measured
 from taichi_eye.scene import dump_scene
 
 PRESETS = "corvis_healthy", "keratoconus", "seed"
 SIDES = 2  # eyes side by side
-POINTS_MAX = 4000  # of a measured history, that are drawn
 
 
 class Play:
@@ -80,6 +75,8 @@ class Play:
                     "width": scene.camera.width_px,
                     "height": scene.camera.height_px,
                     "interval_ms": scene.camera.frame_interval_ms,
+                    "pixel_mm": [scene.camera.pixel_x_mm, scene.camera.pixel_y_mm],
+                    "apex_px": [scene.camera.apex_column_px, scene.camera.apex_row_px],
                 }
             )
         norms = {name: judged_by(name) for name in NAMES}
@@ -205,21 +202,9 @@ def _parsed(text: str | bytes) -> Any:
 
 
 async def measured(request: Request) -> Response:
-    """A measured history from the table that is sent: traces.csv, histories.csv, or one of the reader's own."""
-    # the name is for messages alone
-    name = re.sub(r"[^\w.() -]", "_", request.query_params.get("name", ""))[-80:].strip(". ") or "table"
-    data = await request.body()
-
-    def read() -> Response:
-        with tempfile.TemporaryDirectory(prefix="taichi_eye-page-") as folder:
-            path = Path(folder) / name
-            path.write_bytes(data)
-            try:
-                found = read_measured(path)
-            except SceneError as refused:
-                return PlainTextResponse(str(refused).replace(str(path), name) + "\n", 400)
-        every = max(1, math.ceil(len(found.time_ms) / POINTS_MAX))
-        told = {name: getattr(found, name)[::every].tolist() for name in ("time_ms", "displacement_mm")}
-        return JSONResponse(told | {"name": found.name, "column": found.column, "notes": list(found.notes)})
-
-    return await run_in_threadpool(read)
+    """A measured history, or the curves of a measured film, from the file that is sent."""
+    data, name = await request.body(), request.query_params.get("name", "")
+    try:
+        return JSONResponse(await run_in_threadpool(laid.read, data, name))
+    except SceneError as refused:
+        return PlainTextResponse(f"{refused}\n", 400)

@@ -125,7 +125,7 @@ def test_the_film_is_that_of_the_cavity_rung_and_its_parameters_those_of_its_wal
     assert read == vars(truth) and read["a1_time_ms"] is not None
     # coarse, and yet within a per cent of what 48 elements have
     fine = worked.run(asked.scene, 48)
-    assert shown.apex_mm.max() == pytest.approx(fine.apex_mm.max(), rel=2e-3)
+    assert shown.apex_mm.max() == pytest.approx(fine.apex_mm.max(), rel=3e-3)
     assert worked.run(asked.scene, hand.DRAGGED).apex_mm.max() == pytest.approx(fine.apex_mm.max(), rel=8e-3)
     # dragged: the frame of the time that is looked at, and the history up to there
     time_ms = 10.0

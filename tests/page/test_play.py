@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import io
 import json
 import struct
 import threading
@@ -180,6 +181,33 @@ def test_a_measured_history_is_read_as_compare_reads_it(client):
         refused = client.post("/measured", params={"name": name}, content=b"what,ever\n1,2\n", headers=OWN)
         assert refused.status_code == 400 and "time_ms" in refused.text and "/" not in refused.text.split(":")[0]
     assert client.post("/measured", content=b"0" * 100_000_000, headers=OWN).status_code == 413
+
+
+def npz(**arrays):
+    held = io.BytesIO()
+    np.savez_compressed(held, **arrays)
+    return held.getvalue()
+
+
+def test_the_curves_of_a_measured_film_are_laid_over(client):
+    time_ms, x = np.linspace(0, 30, 50), np.linspace(-4, 4, 81)
+    height = -(x**2) / 16 - time_ms[:, None] / 100
+    height[3, 5] = np.nan
+    told = client.post(
+        "/measured?name=edges.npz", content=npz(curve_time_ms=time_ms, x_mm=x, height_mm=height), headers=OWN
+    ).json()
+    np.testing.assert_allclose(told["x_mm"], x, atol=1e-4)
+    assert told["height_mm"][3][5] is None and told["height_mm"][3][6] == pytest.approx(height[3, 6], abs=1e-4)
+    for bad in (
+        b"PK\3\4 no archive",
+        npz(x_mm=x),
+        npz(curve_time_ms=time_ms, x_mm=x, height_mm=height.T),
+        npz(curve_time_ms=time_ms, x_mm=x, height_mm=height * 1e6),
+        npz(curve_time_ms=np.array([object()] * 50), x_mm=x, height_mm=height),
+        npz(curve_time_ms=time_ms, x_mm=x, height_mm=np.zeros((3000, 3000))),
+    ):
+        refused = client.post("/measured?name=edges.npz", content=bad, headers=OWN)
+        assert refused.status_code == 400 and refused.text.startswith("edges.npz: ")
 
 
 @pytest.mark.parametrize(

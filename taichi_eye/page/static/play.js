@@ -3,7 +3,7 @@
 // alone is answered; once it is let go the whole film comes as a stream, which is broken off before anything else is
 // asked for. Every frame is kept here, so time itself is dragged without asking anybody.
 
-const COLOURS = ["#14539a", "#c9641a"], MEASURED = "#3d8b57", FAR = 2, SHORT = new Set([
+const COLOURS = ["#14539a", "#c9641a"], MEASURED = "#46b06f", FAR = 2, SHORT = new Set([
   "a1_time_ms", "a1_velocity_m_s", "a1_length_mm", "a1_deflection_mm", "hc_time_ms", "deformation_amplitude_mm",
   "hc_deflection_mm", "hc_circle_radius_mm", "peak_distance_mm", "da_ratio_2mm", "integrated_inverse_radius_per_mm",
   "a2_time_ms", "a2_velocity_m_s", "whole_eye_movement_mm", "central_thickness_um", "iop_nct_mmhg", "biop_mmhg",
@@ -12,7 +12,7 @@ const at = (id) => document.getElementById(id);
 const timings = { frame: [], film: [] };  // ms from the hand to the picture, as measured here
 window.timings = timings;
 const starts = new Map();  // when the hand asked, by number
-let offer, socket, film = null, number = 0, measured = null, playing = null, failures = 0;
+let offer, socket, film = null, number = 0, measured = null, curves = null, playing = null, failures = 0;
 const eyes = [0, 1].map((which) => ({ which, scene: null, values: {}, frames: [], run: null, parameters: {}, due: true,
   preview: null }));
 
@@ -169,7 +169,28 @@ function drawEye(eye) {
     paint.words = new Uint32Array(paint.image.data.buffer);
   }
   for (let k = 0; k < grey.length; k += 1) paint.words[k] = paint.table[grey[k]];
-  canvas.getContext("2d").putImageData(paint.image, 0, 0);
+  const pen = canvas.getContext("2d");
+  pen.putImageData(paint.image, 0, 0);
+  if (curves) trace(pen, scene(eye));
+}
+
+// The edge of the measured film at this time, over the frame.
+function trace(pen, { pixel_mm: [width, height], apex_px: [column, row] }) {
+  const time = now(), { time_ms: times } = curves;
+  let near = 0;
+  times.forEach((one, k) => { if (Math.abs(one - time) < Math.abs(times[near] - time)) near = k; });
+  pen.strokeStyle = MEASURED;
+  pen.lineWidth = 1.5;
+  pen.setLineDash([6, 3]);
+  pen.beginPath();
+  let drawn = false;
+  curves.height_mm[near].forEach((value, k) => {
+    if (value === null) { drawn = false; return; }
+    pen[drawn ? "lineTo" : "moveTo"](column + curves.x_mm[k] / width, row - value / height);
+    drawn = true;
+  });
+  pen.stroke();
+  pen.setLineDash([]);
 }
 
 function draw() {
@@ -347,16 +368,20 @@ async function lay(file) {
   try {
     const answer = await fetch(`measured?name=${encodeURIComponent(file.name)}`, { method: "POST", body: file });
     if (!answer.ok) throw new Error(await answer.text());
-    measured = await answer.json();
-    at("what").value = measured.column === "deflection_mm" ? "deflection_mm" : "deformation_mm";
-    said.textContent = [`dots: ${measured.name}`, ...measured.notes].join("; ");
+    const found = await answer.json();
+    if (found.height_mm) curves = found;
+    else {
+      measured = found;
+      at("what").value = measured.column === "deflection_mm" ? "deflection_mm" : "deformation_mm";
+    }
+    said.textContent = [`laid over, in green: ${found.name}`, ...found.notes].join("; ");
     at("forget").hidden = false;
   } catch (problem) {
     said.className = "refused";
     said.textContent = problem instanceof TypeError ? "refused: the file is too large, or the program has gone" : problem.message;
   }
   at("measured").value = "";
-  plot();
+  draw();
 }
 
 function pause() {
@@ -389,7 +414,12 @@ async function begin() {
   at("gain").addEventListener("input", draw);
   at("what").addEventListener("change", plot);
   at("measured").addEventListener("change", (event) => lay(event.target.files[0]));
-  at("forget").addEventListener("click", () => { measured = null; at("forget").hidden = true; at("said").textContent = ""; plot(); });
+  at("forget").addEventListener("click", () => {
+    measured = curves = null;
+    at("forget").hidden = true;
+    at("said").textContent = "";
+    draw();
+  });
   at("two").addEventListener("change", () => {
     document.querySelectorAll(".eye")[1].hidden = !at("two").checked;
     tabulate(); ask("film"); draw();
