@@ -62,13 +62,20 @@ def _write_rows(file: TextIO, traces: Mapping[str, np.ndarray], first: int) -> N
 
 
 def read_traces(path: Path) -> dict[str, np.ndarray]:
-    """Read what `write_traces` wrote, bit for bit: float64 arrays by column, int64 for counts."""
+    """Read what `write_traces` wrote, bit for bit: float64 arrays by column, int64 for counts.
+
+    ValueError where a row is cut, a cell is no number, or one of a count is no whole one.
+    """
     with open(path, encoding="utf-8", newline="") as file:
         header, *rows = csv.reader(file)
-    return {
-        name: np.array([row[i] for row in rows], dtype=float).astype(int if name in WHOLE else float)
-        for i, name in enumerate(header)
-    }
+    if any(len(row) != len(header) for row in rows):
+        raise ValueError("a row is cut")
+    columns = {name: np.array([row[i] for row in rows], dtype=float) for i, name in enumerate(header)}
+    for name in set(WHOLE) & set(columns):
+        if not (columns[name] == np.trunc(columns[name])).all() or not (np.abs(columns[name]) < 2**53).all():
+            raise ValueError(f"{name} holds what is no count")
+        columns[name] = columns[name].astype(int)
+    return columns
 
 
 def write_wall(path: Path, time_ms: np.ndarray, places_mm: np.ndarray) -> None:

@@ -57,3 +57,15 @@ def test_columns_of_unequal_length_leave_the_old_file(tmp_path):
     with pytest.raises(ValueError):
         write_traces(path, random_traces(3) | {"time_ms": np.zeros(2)})
     assert path.read_bytes() == before and len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.mark.parametrize("cell", ["nan", "inf", "1e300", "1.5", "x", "", "1,2"])
+def test_a_count_that_is_none_is_no_trace(cell, tmp_path):
+    path = tmp_path / "traces.csv"
+    write_traces(path, {name: np.zeros(3) for name in COLUMNS})
+    lines = path.read_text().splitlines()
+    cells = lines[2].split(",")
+    cells[COLUMNS.index("coupling_iterations")] = cell
+    path.write_text("\n".join([*lines[:2], ",".join(cells), *lines[3:]]) + "\n")
+    with pytest.raises(ValueError):
+        read_traces(path)
