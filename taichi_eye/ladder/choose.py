@@ -6,10 +6,10 @@ pass; where a pilot is already the run that was asked for, it is the run. All in
 
     space       cavity with 32 elements against 8: a fifteenth of their difference is the error of the 32, and goes as
                 h^2. All rungs carry the membrane's error, which dominates. Once inertia counts, thin-layer runs with 16
-                and
-                8 take their place.
+                and 8 take their place.
     inertia     thin-layer flow (`taichi_eye.solver.potential`) in the chamber at rest against cavity, both with 8
-    elements. IOP         of `membrane` in a sealed chamber: the pressure's rise over the puff's.
+                elements.
+    IOP         of `membrane` in a sealed chamber: the pressure's rise over the puff's.
     map's age   of `added_mass`: at most AGE_SHARE of the inertia for each spacing that the wall of 8 elements travels
                 between two maps (7 to 23 % on sixteen scenes). Where that would ask for more maps: thin layer with 8
                 elements refreshed at 1 spacing against 0.5, taken AGED times, as it came out down to half of what it
@@ -19,8 +19,7 @@ pass; where a pilot is already the run that was asked for, it is the run. All in
                 three times as dense.
     viscosity   of every rung but `mfpm`: what the flow of the thin layer would lose to viscosity, over the puff's work.
     sound speed of `mfpm`: cavity that yields as the liquid does at c = 40 m/s against one that does not, which goes as
-    c^-2
-                with the sound speed of the mean pressure, up to STIFFER times that of the waves; and of the waves
+                c^-2 with the sound speed of the mean pressure, up to STIFFER times that of the waves; and of the waves
                 `WAVE_SHARE` of the inertia at 20 m/s, as c^-2 (the modes of the cylinder of `taichi-eye verify` are
                 1.1 % low there, so the added mass is 2 % high).
 
