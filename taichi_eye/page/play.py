@@ -17,6 +17,7 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import traceback
 from typing import Any
 
 from starlette.applications import Starlette
@@ -133,10 +134,10 @@ class Play:
                     await socket.send_bytes(packed(head | told, pixels.data))
                     if asked.is_set():
                         break
-            except (hand.Refused, SceneError) as refused:
-                await socket.send_bytes(packed({"number": number, "kind": "refused", "reason": str(refused)}))
             except WebSocketDisconnect:
                 return
+            except Exception as problem:
+                await socket.send_bytes(packed({"number": number, "kind": "refused", "reason": _said(problem)}))
 
     def _read(self, request: Any) -> tuple[int, float, list[tuple[int, hand.Eye]]]:
         """The number of a request for frames, the time that is looked at, and its eyes."""
@@ -177,8 +178,8 @@ class Play:
             for which, eye, run in runs:
                 if fold := await self.kernels.call(hand.fold_of, self.hand, eye, run):
                     yield sized(packed({"kind": "fold", "which": which, "reason": fold}))
-        except SceneError as refused:
-            yield sized(packed({"kind": "refused", "reason": str(refused)}))
+        except Exception as problem:
+            yield sized(packed({"kind": "refused", "reason": _said(problem)}))
 
     async def _film(self, which: int, eye: hand.Eye):
         """The messages of one eye, and with the first of them its run."""
@@ -192,6 +193,14 @@ class Play:
                 first, pixels = part
                 yield packed({"kind": "frames", "which": which, "first": first}, pixels.data), None
         yield packed({"kind": "parameters", "which": which, "values": await reading}), None
+
+
+def _said(problem: Exception) -> str:
+    """Why there is no picture; what nobody foresaw goes to the terminal, too."""
+    if isinstance(problem, hand.Refused | SceneError):
+        return str(problem)
+    traceback.print_exception(problem)
+    return f"{type(problem).__name__}: {problem}"
 
 
 def _parsed(text: str | bytes) -> Any:

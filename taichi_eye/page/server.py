@@ -13,6 +13,7 @@ from typing import Any
 from taichi_eye.errors import SceneError
 
 LOOPBACK = "127.0.0.1"
+EVERYWHERE = "0.0.0.0", "::"  # no name by which a request could be told from a foreign one
 MESSAGE_BYTES = 65536  # of a socket, from the browser
 PARTING_S = 1  # that open sockets may take to close
 
@@ -25,6 +26,8 @@ class Address:
 
     def __init__(self, host: str | None = None, port: int | None = None):
         host, port = host or LOOPBACK, port or 0
+        if host in EVERYWHERE:
+            raise SceneError(f"--host {host}: name the one address by which browsers reach this machine")
         try:
             self.socket = socket.create_server((host, port))
         except (OSError, UnicodeError) as error:

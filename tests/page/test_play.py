@@ -156,6 +156,18 @@ def test_a_request_that_is_none_is_refused_and_the_tab_lives_on(client, text, sa
         assert answer.status_code == 400 and said in answer.text
 
 
+def test_what_nobody_foresaw_is_said_in_the_page_and_on_the_terminal(page, client, capfd):
+    whole, page.hand.run = page.hand.run, lambda *_: 1 / 0
+    with client.websocket_connect(f"ws://{HERE}/hand", headers=OWN) as socket:
+        socket.send_text(request(1))
+        assert "ZeroDivisionError" in unpacked(socket.receive_bytes())[0]["reason"]
+        found = messages(client.post("/film", content=request(), headers=OWN).content)
+        assert [head["kind"] for head, _ in found] == ["refused"] and "Traceback" in capfd.readouterr().err
+        page.hand.run = whole
+        socket.send_text(request(2))
+        assert unpacked(socket.receive_bytes())[0]["kind"] == "frame"
+
+
 def test_the_scene_that_is_saved_is_the_one_that_is_shown(client, tmp_path):
     asked = {"scene": "corvis_healthy", "values": {"iop": 22.5, "thickness": 0.6, "stiffness": 0.8}}
     saved = client.post("/scene", json=asked, headers=OWN)

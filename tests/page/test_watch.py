@@ -19,6 +19,7 @@ import taichi_eye
 from taichi_eye.bench import browser as browsers
 from taichi_eye.cli import main
 from taichi_eye.errors import Interrupted
+from taichi_eye.page import needs
 from taichi_eye.page.watch import Watch
 from taichi_eye.report.traces import read_traces
 
@@ -134,6 +135,8 @@ def test_an_address_without_a_page_is_refused(capsys, tmp_path, monkeypatch):
     assert "--watch" in capsys.readouterr().err
     assert main(["run", "quick", "--watch", "--host", "no.such.host.invalid"]) == 2
     said = capsys.readouterr().err
+    assert main(["run", "quick", "--watch", "--host", "0.0.0.0"]) == 2
+    assert "one address" in capsys.readouterr().err
     assert "no.such.host.invalid" in said and len(said.splitlines()) == 1 and not list(tmp_path.iterdir())
 
 
@@ -159,3 +162,13 @@ def test_the_page_shows_the_run_and_its_button_ends_it(tmp_path):
         process.communicate(timeout=120)
     assert process.returncode == 130
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["status"] == "stopped"
+
+
+def test_a_page_without_its_packages_is_refused_in_a_line(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(needs, "find_spec", lambda name: None if name == "uvicorn" else True)
+    for words in (["play"], ["run", "quick", "--watch"]):
+        assert main(words) == 2
+        said = capsys.readouterr().err
+        assert said == "taichi-eye: uvicorn is not installed, which live pages need: pip install 'taichi-eye[page]'\n"
+    assert not list(tmp_path.iterdir())
