@@ -76,6 +76,13 @@ def test_a_slider_is_dragged_and_film_history_and_parameters_follow(server, one,
     (tmp_path / "mine.csv").write_text(f"time_ms,deflection_mm\n{rows}\n")
     tab.page.locator("#measured").set_input_files(tmp_path / "mine.csv")
     tab.page.wait_for_selector("#said:has-text('mine.csv')")
+    # its dots stand beside their own quantity
+    dots = tab.page.evaluate("document.getElementById('plot').toDataURL()")
+    tab.page.locator("#what").select_option("deformation_mm")
+    assert "(apex deflection, shown while" in tab.page.locator("#said").inner_text()
+    tab.page.locator("#what").select_option("deflection_mm")
+    assert tab.page.evaluate("document.getElementById('plot').toDataURL()") == dots
+    assert tab.page.locator("#said").inner_text() == "laid over, in green: mine.csv (apex deflection)"
     with open(tmp_path / "large.csv", "wb") as large:
         large.truncate(100_000_000)
     wrong = list(tab.wrong)
@@ -84,7 +91,12 @@ def test_a_slider_is_dragged_and_film_history_and_parameters_follow(server, one,
     assert "4 MB" in tab.page.locator("#said").inner_text() or "too large" in tab.page.locator("#said").inner_text()
     # values beyond the limits are refused in words
     tab.page.evaluate("""(() => { eyes[0].values.iop = 1000; eyes[0].due = true; ask("film"); })()""")
-    tab.page.wait_for_selector(".refused:has-text('>= 1 and <= 100')")
+    tab.page.wait_for_selector(".eye:first-child .refused:has-text('>= 1 and <= 100')")
+    # and the table tells of the other eye alone
+    assert (
+        tab.page.locator("tr[data-name=a1_time_ms] td").nth(1).inner_text() == "-"
+        and parameter(tab, "a1_time_ms", 1) > 0
+    )
     assert wrong == other.wrong == []
     for each in (tab, other):
         each.page.close()
