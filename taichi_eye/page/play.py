@@ -135,8 +135,10 @@ class Play:
                 continue
             for which, one in eyes:
                 try:
-                    told, pixels = await self.kernels.call(hand.frame_of, self.hand, self.eyes.eye(one), time_ms)
-                    message = packed({"number": number, "which": which, "kind": "frame"} | told, pixels.data)
+                    eye = self.eyes.eye(one)
+                    told, pixels = await self.kernels.call(hand.frame_of, self.hand, eye, time_ms)
+                    head = {"number": number, "which": which, "kind": "frame", "command": eye.command}
+                    message = packed(head | told, pixels.data)
                 except Exception as problem:
                     message = _refusal(problem, number=number, which=which)
                 if not await _sent(socket, message):

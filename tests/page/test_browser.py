@@ -64,6 +64,16 @@ def test_a_slider_is_dragged_and_film_history_and_parameters_follow(server, one,
     tab.page.locator("#now").fill("5")
     assert picture(tab) not in shown and tab.page.locator("#shown").inner_text() == "5.00 ms"
     assert tab.page.evaluate("timings.film.length + timings.frame.length") == asked
+    # a frame of the hand does not stay once time has moved, also while its film is on its way
+    tab.page.evaluate("""(() => { moved(eyes[1], offer.sliders.find((one) => one.name === "iop"), 5, false); })()""")
+    while tab.page.evaluate("eyes[1].preview === null"):
+        tab.page.wait_for_timeout(5)
+    assert tab.page.locator("tr[data-name=a1_time_ms] td").nth(2).inner_text() == "-"
+    tab.page.evaluate(
+        """(() => { ask("film"); const now = at("now"); now.value = 20; now.dispatchEvent(new Event("input")); })()"""
+    )
+    first = settled(tab, first)
+    assert tab.page.evaluate("[eyes[1].preview, eyes[1].frames.length, eyes[1].due]") == [None, 139, False]
     # what is saved is what is shown
     with tab.page.expect_download() as kept:
         tab.page.locator(".keep").first.click()

@@ -115,6 +115,7 @@ def test_a_frame_while_dragging_comes_with_the_history_so_far(client):
         tab.send_text(request(3, iop=9))
         head, pixels = unpacked(tab.receive_bytes())
     assert head["kind"] == "frame" and head["number"] == 3 and len(head["time_ms"]) == 30
+    assert head["command"] == "taichi-eye run seed --set eye.iop_mmhg=9.0"
     assert (pixels == 9).all() and len(pixels) == 24
 
 

@@ -120,6 +120,12 @@ function refused(eye, reason) {
   plot();
 }
 
+function ran(eye, head) {
+  eye.run = head;
+  document.querySelectorAll(".foot code")[eye.which].textContent = head.command;
+  refusals()[eye.which].textContent = head.stop;
+}
+
 function take(data, request = null) {
   const { head, pixels } = unpack(data), eye = eyes[head.which];
   if (head.kind === "refused") {
@@ -129,16 +135,13 @@ function take(data, request = null) {
   } else if (head.kind === "frame") {
     if (film) return;  // the whole film is on its way
     eye.preview = pixels;
-    eye.run = head;
-    refusals()[eye.which].textContent = head.stop;
+    ran(eye, head);
     draw();
     told("frame", performance.now() - starts.get(head.number));
     for (const old of starts.keys()) if (old <= head.number) starts.delete(old);
   } else if (head.kind === "run") {
-    eye.run = head;
     eye.frames = [];
-    document.querySelectorAll(".foot code")[eye.which].textContent = head.command;
-    refusals()[eye.which].textContent = head.stop;
+    ran(eye, head);
   } else if (head.kind === "frames") {
     const size = scene(eye).width * scene(eye).height;
     const before = eye.frames.length, wanted = frameAt(eye, now());
