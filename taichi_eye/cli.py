@@ -81,7 +81,7 @@ def _add_run(commands) -> None:
         "run",
         help="simulate a scene and film it into a run folder",
         description="Simulate a scene and film it into a run folder: film.mp4, apex.png, "
-        "sheet.png, traces.csv, summary.json, scene.toml.",
+        "sheet.png, report.html, traces.csv, wall.npz, summary.json, scene.toml.",
         examples=(
             "taichi-eye run quick",
             "taichi-eye run seed --set eye.iop_mmhg=25 --set cornea.thickness_mm=0.6",
@@ -263,7 +263,7 @@ def _add_analyze(commands) -> None:
         help="measure a Corvis ST film, recorded or computed",
         description="Find the edges of the cornea in a film, a folder of images or a run, undo "
         "refraction and write the dynamic corneal response: parameters.csv, parameters.json, "
-        "histories.csv, edges.npz, overlay.mp4, analysis.png.",
+        "histories.csv, edges.npz, overlay.mp4, analysis.png, report.html.",
         examples=(
             "taichi-eye analyze film.avi --iop-nct-mmhg 16 --age-years 60",
             "taichi-eye analyze renders/corvis_healthy-001",
@@ -315,7 +315,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt as error:
         folder, where = getattr(error, "folder", None), ""
-        if folder is not None:
+        if folder is not None and given.command in CUT_OFF:
             kept, command = CUT_OFF[given.command]
             where = f"; {kept} in {folder}, go on with: taichi-eye {command} --resume {folder}"
         print(f"taichi-eye: {error if str(error) else 'interrupted'}{where}", file=sys.stderr)

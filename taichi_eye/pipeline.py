@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from taichi_eye import backend
-from taichi_eye.errors import OutputError, RunStopped, SceneError
+from taichi_eye.errors import Interrupted, OutputError, RunStopped, SceneError
 from taichi_eye.film import EncoderError, ffmpeg
 from taichi_eye.film.file import FilmFile
 from taichi_eye.ladder.choose import choose
@@ -54,7 +54,8 @@ class RunResult:
         return FilmFile(self.folder / "film.mp4")
 
     def plot(self):
-        """The history of the apex under the load, as a matplotlib Figure."""
+        """The history of the apex under the load, as a matplotlib Figure; apex.png has error band and measured history,
+        too."""
         # matplotlib's figures are slow to load
         from taichi_eye.report.plots import draw_apex
 
@@ -98,7 +99,7 @@ def run(
             bar.decided(choice)
             # a pilot that was chosen has run already and is only filmed
             scene, ready, about = choice.scene, choice.simulation, choice.as_dict()
-        coarse, clock = _twin(scene, bar)
+        coarse, clock = _twin(scene, bar, signals)
         cloud = cloud_of(scene) if needs_cloud(scene) else None
         if ready is None:
             ready = simulation_of(scene, cloud)
@@ -152,7 +153,7 @@ def resume(
             _let_end(watch, signals)
             header, state = checkpoint if checkpoint is not None else ({}, None)
             # what a twin left stands beside a checkpoint
-            coarse, clock = _twin(scene, bar) if state is None else (None, header["clock"])
+            coarse, clock = _twin(scene, bar, signals) if state is None else (None, header["clock"])
             cloud = cloud_of(scene) if needs_cloud(scene) else None
             simulation = simulation_of(scene, cloud)
             if state is not None:
@@ -169,12 +170,18 @@ def resume(
         lock.release()
 
 
-def _twin(scene: Scene, bar: Progress) -> tuple[dict[str, np.ndarray] | None, dict[str, float]]:
+def _twin(scene: Scene, bar: Progress, signals: Signals) -> tuple[dict[str, np.ndarray] | None, dict[str, float]]:
     """What the twin of a scene left that asks for an error bar, and the clock so far."""
     if not scene.numerics.error_bar:
         return None, {}
+
+    def tell(what: str, simulated_ms: float) -> None:
+        if signals.asked is not None:
+            raise Interrupted(signals.asked)
+        bar.show(what, simulated_ms)
+
     before = time.perf_counter()
-    found = run_twin(scene, bar.show)
+    found = run_twin(scene, tell)
     took = time.perf_counter() - before
     # set-up lasts from the start of the run to its first step, and this is no part of it
     return found, {"twin_s": took, "setup_s": -took}

@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 from PIL import Image
 
 from taichi_eye import cli, load_scene
+from taichi_eye.errors import Interrupted
 from taichi_eye.report.traces import COLUMNS, read_traces
 
 ROOT = Path(__file__).parents[1]
@@ -293,3 +295,20 @@ def test_help_names_every_flag(capsys):
     said = capsys.readouterr().out
     for flag in ("--set", "--out", "--resume", "--compare", "--arch", "--precision", "--threads", "--quiet"):
         assert flag in said
+
+
+def test_an_interrupted_check_says_no_folder_that_is_gone(monkeypatch, capsys):
+    def cut_off(*_, **__):
+        reason = Interrupted(signal.SIGINT)
+        reason.folder = "/gone"
+        raise reason
+
+    monkeypatch.setattr("taichi_eye.proof.scenes.report", cut_off)
+    assert cli.main(["check", "scenes", "--only", "calls", "--quiet"]) == 130
+    assert capsys.readouterr().err.strip() == "taichi-eye: interrupted"
+
+
+def test_an_error_bar_needs_a_history(tmp_path, capsys):
+    words = ["--set", "numerics.error_bar=true", "--set", "numerics.duration_ms=0.01", "--out", str(tmp_path / "out")]
+    assert cli.main(["run", "quick", "--quiet", *words]) == 2
+    assert "numerics.duration_ms = 0.01" in capsys.readouterr().err and not (tmp_path / "out").exists()

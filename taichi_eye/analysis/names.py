@@ -35,8 +35,7 @@ NAMES = {
     "whole_eye_movement_time_ms": "time of the largest retreat",
     "central_thickness_um": "central corneal thickness at rest, refraction undone",
     "iop_nct_mmhg": "non-contact tonometer pressure (IOPnct): a straight line in the A1 time",
-    "biop_mmhg": "pressure of the eye (bIOP): as given, of a run as simulated, or the surrogate from IOPnct, thickness "
-    "and age",
+    "biop_mmhg": "pressure of the eye (bIOP): as given, or the surrogate from IOPnct, thickness and age",
     "sp_a1_mmhg_mm": "stiffness parameter at A1 (SP-A1): (air pressure at A1 less bIOP) over the deflection then",
 }
 UNITS = {

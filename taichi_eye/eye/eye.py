@@ -230,6 +230,5 @@ def _puff_of(scene: Scene, section: Section) -> Puff:
     else:
         rate = 1.0 / (puff.width_mm * MM) ** 2
     samples = read_puff(puff.file) if puff.time_course == "file" else None
-    return Puff(
-        puff.time_course, puff.peak_kpa * KPA, puff.duration_ms * MS, puff.spread_b, rate, samples, puff.dent_feedback
-    )
+    peak = puff.peak_kpa * KPA if samples is None else float(np.abs(samples[1]).max())
+    return Puff(puff.time_course, peak, puff.duration_ms * MS, puff.spread_b, rate, samples, puff.dent_feedback)

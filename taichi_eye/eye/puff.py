@@ -46,8 +46,8 @@ CORVIS_FALL = 4.175 * MS, 1.547
 class Puff:
     """Pressure of the air puff, in SI.
 
-    radial_rate: the profile is exp(-radial_rate r^2) [1/m^2]; samples: the user's times [s] and pressures [Pa];
-    dent_feedback: c of `taichi_eye.eye.jet`.
+    peak: the largest pressure, of a user's samples, too; radial_rate: the profile is exp(-radial_rate r^2) [1/m^2];
+    samples: the user's times [s] and pressures [Pa]; dent_feedback: c of `taichi_eye.eye.jet`.
     """
 
     time_course: str

@@ -1,6 +1,7 @@
 """Slit images as they are shown to people: brighter than the instrument's grey levels, which a projector swallows.
 
-Frames, film.mp4 and their reading keep the instrument's levels; sheets, GIFs and pages are shown with the gain.
+Frames, film.mp4 and their reading keep the instrument's levels; sheets, GIFs, and on report.html films of the slit
+image alone are shown with the gain.
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@
 The errors of every rung fall as the square of the spacing, those of `mfpm` also as the inverse square of the sound
 speeds. A twin is coarser in all of them by one ratio q, so one difference tells both: the run's error is
 share = 1 / (q^2 - 1) times twin less run, and run less that is Richardson's limit. q is that of the elements of both
-walls, which are whole numbers: about RATIO, at which a twin takes a third of the time of a wall alone and a sixteenth
-of that of the resolved liquid; less where the chamber takes no coarser nodes, or the twin would have fewer than LEAST
-elements.
+walls, which are whole numbers: about RATIO, at which a twin takes three quarters of the time of a wall alone, which is
+milliseconds, and some third of that of the resolved liquid; less where the chamber takes no coarser nodes, or the twin
+would have fewer than LEAST elements.
 
 How good the bars are that `taichi_eye.analysis.error_bar` makes of it: `taichi-eye check error-bars`.
 """
@@ -20,6 +20,7 @@ from taichi_eye.ladder.rungs import with_numerics
 from taichi_eye.rungs import RUNGS
 from taichi_eye.scene import Scene
 from taichi_eye.scene.resolve import coarsest_spacing_mm
+from taichi_eye.solver.scheme import clock_of
 from taichi_eye.units import MM
 
 RATIO = 2.0  # of coarser over own settings, where the eye takes it
@@ -44,6 +45,11 @@ def twin_of(scene: Scene) -> Twin:
     """The twin of a resolved scene of a decided fidelity; SceneError where the eye takes no coarser spacing."""
     numerics, section = scene.numerics, eye_of(scene).section
     packed = RUNGS[numerics.fidelity].packs_nodes
+    if clock_of(scene).samples < 1:
+        raise SceneError(
+            f"numerics.duration_ms = {numerics.duration_ms:g}, numerics.error_bar = true: is shorter than the time "
+            "between two samples, so there is no history to compare"
+        )
     elements = cornea_elements(section, numerics.spacing_mm * MM)
     least = LEAST
     if packed:

@@ -1,6 +1,7 @@
 """error_bar.csv, and `Recording.error_bar` for those who show it: the run's numerical error by its coarser twin.
 
-`run_twin` runs before the run's own simulation is set up, which then takes over fields and kernels. What the twin left
+`run_twin` runs before the run's own simulation is set up, which then takes over fields and kernels; a pilot that "auto"
+has chosen is there already. What the twin left
 is kept beside the checkpoint, and a run that is resumed takes it from there; one that was cut off before its first
 checkpoint computes it again.
 """

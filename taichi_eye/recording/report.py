@@ -80,7 +80,9 @@ def _parameters(recording, ending) -> str:
     """The clinic's parameters of the wall; a sentence where there are too few frames."""
     # SciPy's filters are slow to load, and a run of a few frames has no use for them
     from taichi_eye.analysis.curves import curves_from_wall
+    from taichi_eye.analysis.norms import ELDERLY_AGE_YEARS
     from taichi_eye.analysis.report import parameters
+    from taichi_eye.analysis.response import Response
     from taichi_eye.analysis.simulated import FRAMES_LEAST, Observed
 
     walls, scene = recording.walls.read(), recording.scene
@@ -91,7 +93,17 @@ def _parameters(recording, ending) -> str:
     curves = curves_from_wall(np.asarray(walls["time_ms"]), r, z, scene.cornea.thickness_mm)
     stopped = "" if ending.stop is None else str(ending.stop) or "interrupted"
     response = Observed(scene, recording.simulation.eye, curves, stopped).read().response
-    return parameters(["computed"], response) or page.paragraph("The cornea shows no response to a puff.")
+    shown, names = [response], ["computed"]
+    if recording.error_bar is not None:
+        names.append("numerical error")
+        shown.append(Response(**recording.error_bar.response.errors))
+    said = parameters(names, *shown)
+    if not said:
+        return page.paragraph("The cornea shows no response to a puff.")
+    return said + page.paragraph(
+        f"IOPnct, bIOP and with it SP-A1 are what the instrument would show at {ELDERLY_AGE_YEARS:g} years; taichi-eye "
+        "analyze of this folder takes the simulated pressure for bIOP."
+    )
 
 
 def differing(scene: Scene) -> list[list[str]]:
@@ -128,7 +140,10 @@ def _numerics(scene: Scene, summary: dict) -> list[list[object]]:
         for rung, errors in choice["estimates_percent"].items():
             said = ", ".join(f"{source} {error:.2g}" for source, error in errors.items())
             body.append([f"errors expected of {rung}", said, "%"])
-    for name, figure in (summary.get("against") or {}).items():
-        body.append([f"computed less measured: {name}", page.shown(figure), ""])
+    against = dict(summary.get("against") or {})
+    measured = against.pop("file", "")
+    for name, figure in against.items():
+        said = name.removesuffix("_mm").removesuffix("_ms").replace("_difference", "").replace("_", " ")
+        body.append([f"computed less {measured}: {said}", page.shown(figure), name.rsplit("_", 1)[-1]])
     body.append(["wall-clock time so far", f"{summary['wall_clock']['total_s']:.1f}", "s"])
     return body

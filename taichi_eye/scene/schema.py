@@ -259,8 +259,8 @@ class Numerics:
     )
     error_bar: bool = key(
         False,
-        "state the numerical error of the apex history and of every parameter, by a second run at twice the spacing "
-        "and half the sound speed; of run and check clinic",
+        "state the numerical error of the apex history and of every parameter, by a second run at up to twice the "
+        "spacing and half the sound speed; of run and check clinic",
     )
     duration_ms: float = key(32.0, "simulated time", unit="ms", at_least=1e-3, at_most=1000)
 

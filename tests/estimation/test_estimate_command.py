@@ -81,6 +81,10 @@ def test_an_eye_of_a_rung_is_found_again_and_all_is_written(scene_file, tmp_path
         (["--scene", "SCENE", "--row", "2"], "no rows"),
         (["--scene", "SCENE", "--instrument", "SCENE"], "is no calibration"),
         (["--scene", "SCENE", "--set", "puff.peak_kpa=0"], "does not move"),
+        (
+            ["--scene", "SCENE", "--set", "puff.time_course=file", "--set", "puff.file=puff.csv"],
+            "a file has none to vary",
+        ),
         (["--scene", "SCENE", "--calibrate-rows"], "at least three rows"),
         (["--scene", "SCENE", "--age-years", "200"], "age_years = 200"),
     ],
@@ -90,6 +94,7 @@ def test_bad_input_is_refused_and_nothing_is_written(scene_file, tmp_path, monke
     data = tmp_path / "trace.csv"
     depth = 0.9 * np.exp(-(((TIMES_MS - 16.0) / 5.0) ** 2))
     data.write_text("time_ms,deflection_mm\n" + "".join(f"{t:.4f},{d:.5f}\n" for t, d in zip(TIMES_MS, depth)))
+    (tmp_path / "puff.csv").write_text("time_ms,pressure_kpa\n0,0\n15,10\n30,0\n")
     before = set(tmp_path.iterdir())
     assert main(["estimate", str(data), *(str(scene_file) if one == "SCENE" else one for one in more), "--quiet"]) == 2
     assert words in capsys.readouterr().err and set(tmp_path.iterdir()) == before

@@ -71,6 +71,7 @@ def test_no_puff():
 def test_table_is_linear_between_and_zero_outside(tmp_path):
     (tmp_path / "p.csv").write_text("# bench, 2021\ntime_ms, pressure_kpa, valve\n2, 1, a\n4, 5, b\n8, -1, c\n")
     load = puff("puff.time_course=file", f"puff.file={tmp_path / 'p.csv'}", "puff.peak_kpa=3")
+    assert load.peak == pytest.approx(5e3, rel=1e-12)
     t_ms = np.array([-1, 1.999, 2, 3, 4, 6, 8, 8.001, 30])
     np.testing.assert_allclose(load.pressure_at_apex(t_ms * 1e-3), [0, 0, 1e3, 3e3, 5e3, 2e3, -1e3, 0, 0], atol=1e-9)
 
