@@ -157,9 +157,9 @@ def test_an_address_without_a_page_is_refused(capsys, tmp_path, monkeypatch):
 
 @pytest.mark.skipif(bool(browsers.missing()), reason=browsers.missing())
 def test_the_page_shows_the_run_and_its_button_ends_it(tmp_path):
-    # three thousand small frames: a run of seconds
+    # ten thousands of small frames: a run that no browser, however busy the machine, is too late for
     small = {"width_px": 128, "height_px": 64, "apex_column_px": 64, "pixel_x_mm": 0.08, "frame_interval_ms": 0.01}
-    keys = {**WORDS, "numerics.duration_ms": 32, **{f"camera.{name}": value for name, value in small.items()}}
+    keys = {**WORDS, "numerics.duration_ms": 320, **{f"camera.{name}": value for name, value in small.items()}}
     words = [word for key, value in keys.items() for word in ("--set", f"{key}={value}")]
     with browsers.served("run", "seed", *words, "--watch", "--quiet", "--out", "run", cwd=tmp_path) as (url, process):
         with browsers.browser() as one:
