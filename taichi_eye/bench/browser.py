@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import shutil
 import signal
@@ -16,11 +17,20 @@ import taichi_eye
 NAMES = "chromium", "chromium-browser", "google-chrome", "google-chrome-stable"
 PATIENCE_MS = 120_000
 PARTING_S = 120
+VERSION_S = 60
 
 
+@functools.cache
 def program() -> str | None:
-    """The browser's program; None where there is none."""
-    return next(filter(None, map(shutil.which, NAMES)), None)
+    """The browser's program; None where there is none: what bears its name may be a stub that tells to install it."""
+    return next((path for path in map(shutil.which, NAMES) if path and _starts(path)), None)
+
+
+def _starts(path: str) -> bool:
+    try:
+        return subprocess.run([path, "--version"], capture_output=True, timeout=VERSION_S).returncode == 0
+    except (OSError, subprocess.TimeoutExpired):
+        return False
 
 
 def missing() -> str:

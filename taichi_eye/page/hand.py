@@ -34,7 +34,9 @@ FRAMES_A_PIECE = 12  # that are drawn before another tab has its turn
 NOTHING = np.empty(0)
 CAMERA = {"camera.view": "scheimpflug"}
 PIXELS_MAX = 500_000  # of a frame that can be drawn under the hand
+FILM_PIXELS_MAX = 100_000_000  # of a whole film, which a tab keeps, a byte each
 DEFAULT = "default eye"
+CHANGED = " with --set"  # after the name of a scene that the command line changed
 
 
 def _given(name: str) -> Callable[[Scene], float]:
@@ -169,6 +171,10 @@ class Eyes:
             if slider not in allowed:
                 raise Refused(f"{_short(slider)}: the sliders of this eye are {', '.join(allowed)}")
             changes |= SLIDERS[slider].changes(scene, own | changes, _number(slider, value))
+        if changes.get("cornea.radius_mm", own["cornea.radius_mm"]) != own["cornea.radius_mm"]:
+            if scene.puff.radial_profile != "gaussian" and "width" not in asked.get("values", {}):
+                # an angle on another radius is another width; the one that its slider shows is kept
+                changes |= _wider(scene, own | changes, _width(scene))
         changes = {key: value for key, value in changes.items() if value != own[key]}
         try:
             return Eye(scene.but(changes), words, changes)
@@ -225,10 +231,10 @@ class Hand:
         cornea, camera = scene.cornea, scene.camera
         length = cornea.radius_mm * math.asin(cornea.limbus_radius_mm / cornea.radius_mm)
         changes = {"numerics.fidelity": "cavity", "numerics.spacing_mm": length / elements, **CAMERA}
-        changes["numerics.refresh_travel"] = AUTO
+        changes |= {"numerics.refresh_travel": AUTO, "camera.frame_count": AUTO}  # frames up to the end
         if until_ms is not None and until_ms < scene.numerics.duration_ms:
             frames = max(math.floor(until_ms / camera.frame_interval_ms + 1e-9), 1)
-            changes |= {"camera.frame_count": AUTO, "numerics.duration_ms": frames * camera.frame_interval_ms}
+            changes["numerics.duration_ms"] = frames * camera.frame_interval_ms
         simulation = Cavity(scene.but(changes, within_limits=False))
         simulation.judges_folding = elements >= JUDGED
         stop = ""
@@ -319,8 +325,16 @@ def load(given: str | None, overrides: Sequence[str], presets: Sequence[str]) ->
             f"{given or 'scene'}: camera.width_px = {scene.camera.width_px}, camera.height_px = "
             f"{scene.camera.height_px}: at most {PIXELS_MAX} pixels can be drawn under the hand"
         )
+    frames = scene.but({"camera.frame_count": AUTO}).camera.frame_count
+    if pixels * frames > FILM_PIXELS_MAX:
+        raise SceneError(
+            f"{given or 'scene'}: numerics.duration_ms = {scene.numerics.duration_ms:g}, camera.frame_interval_ms = "
+            f"{scene.camera.frame_interval_ms:g}: {frames} frames of {pixels} pixels; at most "
+            f"{FILM_PIXELS_MAX // 10**6} million pixels in all can be drawn under the hand"
+        )
     words = tuple(word for override in overrides for word in ("--set", override))
-    first = given or DEFAULT
+    # a preset stays under its own name
+    first = (given or DEFAULT) + (CHANGED if overrides else "")
     scenes = {first: (scene, ((given,) if given else ()) + words)}
     for name in presets:
         scenes.setdefault(name, (load_scene(name), (name,)))

@@ -34,7 +34,7 @@ def read(data: bytes, name: str) -> dict[str, Any]:
 
 def _history(data: bytes, name: str) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="taichi_eye-page-") as folder:
-        path = Path(folder) / name
+        path = Path(folder) / "table"  # a name of the user's may be too long for a file
         path.write_bytes(data)
         try:
             found = read_measured(path)
@@ -42,7 +42,7 @@ def _history(data: bytes, name: str) -> dict[str, Any]:
             raise SceneError(str(refused).replace(str(path), name)) from None
     every = max(1, math.ceil(len(found.time_ms) / POINTS_MAX))
     told = {column: getattr(found, column)[::every].tolist() for column in ("time_ms", "displacement_mm")}
-    return told | {"name": found.name, "column": found.column, "notes": list(found.notes)}
+    return told | {"name": name, "column": found.column, "notes": list(found.notes)}
 
 
 def _curves(data: bytes, name: str) -> dict[str, Any]:

@@ -30,7 +30,9 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from taichi_eye.analysis.names import NAMES, unit_of
 from taichi_eye.analysis.norms import POPULATIONS, judged_by
+from taichi_eye.analysis.report import FAR
 from taichi_eye.errors import SceneError
+from taichi_eye.film.display import gain_of
 from taichi_eye.page import hand, laid
 from taichi_eye.page.files import STATIC, page
 from taichi_eye.page.message import packed, sized
@@ -78,6 +80,7 @@ class Play:
                     "interval_ms": scene.camera.frame_interval_ms,
                     "pixel_mm": [scene.camera.pixel_x_mm, scene.camera.pixel_y_mm],
                     "apex_px": [scene.camera.apex_column_px, scene.camera.apex_row_px],
+                    "gain": gain_of(scene),
                 }
             )
         norms = {name: judged_by(name) for name in NAMES}
@@ -91,7 +94,7 @@ class Play:
             for name, said in NAMES.items()
         ]
         told = {"scenes": scenes, "sliders": [slider.told for slider in hand.SLIDERS.values()]}
-        return JSONResponse(told | {"parameters": parameters})
+        return JSONResponse(told | {"parameters": parameters, "far": FAR})
 
     async def scene(self, request: Request) -> Response:
         """The scene file of an eye."""
@@ -124,22 +127,26 @@ class Play:
         while True:
             await asked.wait()
             asked.clear()
-            number = None
             try:
-                request = _parsed(newest[0])
-                number, time_ms, eyes = self._read(request)
-                for which, eye in eyes:
-                    told, pixels = await self.kernels.call(hand.frame_of, self.hand, eye, time_ms)
-                    head = {"number": number, "which": which, "kind": "frame"}
-                    await socket.send_bytes(packed(head | told, pixels.data))
-                    if asked.is_set():
-                        break
-            except WebSocketDisconnect:
-                return
+                number, time_ms, eyes = self._read(_parsed(newest[0]))
             except Exception as problem:
-                await socket.send_bytes(packed({"number": number, "kind": "refused", "reason": _said(problem)}))
+                if not await _sent(socket, _refusal(problem)):
+                    return
+                continue
+            for which, one in eyes:
+                try:
+                    eye = self.eyes.eye(one)
+                    told, pixels = await self.kernels.call(hand.frame_of, self.hand, eye, time_ms)
+                    head = {"number": number, "which": which, "kind": "frame", "command": eye.command}
+                    message = packed(head | told, pixels.data)
+                except Exception as problem:
+                    message = _refusal(problem, number=number, which=which)
+                if not await _sent(socket, message):
+                    return
+                if asked.is_set():
+                    break
 
-    def _read(self, request: Any) -> tuple[int, float, list[tuple[int, hand.Eye]]]:
+    def _read(self, request: Any) -> tuple[int, float, list[tuple[int, dict[str, Any]]]]:
         """The number of a request for frames, the time that is looked at, and its eyes."""
         eyes = self._eyes(request)
         time_ms, number = request.get("time_ms"), request.get("number")
@@ -149,15 +156,14 @@ class Play:
             raise hand.Refused("number: must be a whole number")
         return number, float(time_ms), eyes
 
-    def _eyes(self, request: Any) -> list[tuple[int, hand.Eye]]:
-        """The eyes of a request, each with its side."""
-        asked = request.get("eyes") if isinstance(request, dict) else None
-        if not isinstance(asked, list) or not 1 <= len(asked) <= SIDES:
+    def _eyes(self, request: Any) -> list[tuple[int, dict[str, Any]]]:
+        """The sides of a request and what is asked for on each, yet to be resolved: one may be refused alone."""
+        eyes = request.get("eyes") if isinstance(request, dict) else None
+        if not isinstance(eyes, list) or not 1 <= len(eyes) <= SIDES:
             raise hand.Refused(f"eyes: 1 to {SIDES} of them")
-        eyes = [(eye.get("which"), self.eyes.eye(eye)) for eye in asked if isinstance(eye, dict)]
-        if [which for which, _ in eyes if which not in range(SIDES)] or len(eyes) != len(asked):
+        if not all(isinstance(one, dict) and one.get("which") in range(SIDES) for one in eyes):
             raise hand.Refused(f"which: 0 to {SIDES - 1}")
-        return eyes
+        return [(int(one["which"]), one) for one in eyes]
 
     async def film(self, request: Request) -> Response:
         """Whole films."""
@@ -167,32 +173,56 @@ class Play:
             return PlainTextResponse(f"{refused}\n", 400)
         return StreamingResponse(self._films(eyes), media_type="application/octet-stream")
 
-    async def _films(self, eyes: list[tuple[int, hand.Eye]]):
+    async def _films(self, eyes: list[tuple[int, dict[str, Any]]]):
         runs = []
-        try:
-            for which, eye in eyes:
-                async for message, run in self._film(which, eye):
+        for which, one in eyes:
+            try:
+                eye, run = self.eyes.eye(one), None
+                async for message, begun in self._film(which, eye):
+                    run = begun or run
                     yield sized(message)
-                    runs += [(which, eye, run)] if run is not None else []
-            yield sized(packed({"kind": "done"}))
-            for which, eye, run in runs:
-                if fold := await self.kernels.call(hand.fold_of, self.hand, eye, run):
-                    yield sized(packed({"kind": "fold", "which": which, "reason": fold}))
-        except Exception as problem:
-            yield sized(packed({"kind": "refused", "reason": _said(problem)}))
+                runs.append((which, eye, run))
+            except Exception as problem:
+                yield sized(_refusal(problem, which=which))
+        yield sized(packed({"kind": "done"}))
+        for which, eye, run in runs:
+            try:
+                fold = await self.kernels.call(hand.fold_of, self.hand, eye, run)
+            except Exception as problem:
+                fold = _said(problem)  # of the finer run alone: the film stands
+            if fold:
+                yield sized(packed({"kind": "fold", "which": which, "reason": fold}))
 
     async def _film(self, which: int, eye: hand.Eye):
         """The messages of one eye, and with the first of them its run."""
         reading = None
-        async for part in self.kernels.pieces(hand.film_of(self.hand, eye)):
-            if isinstance(part, hand.Shown):
-                # NumPy alone, so beside the drawing
-                reading = asyncio.ensure_future(run_in_threadpool(hand.parameters_of, part))
-                yield packed({"kind": "run", "which": which, "command": eye.command} | part.told()), part
-            else:
-                first, pixels = part
-                yield packed({"kind": "frames", "which": which, "first": first}, pixels.data), None
-        yield packed({"kind": "parameters", "which": which, "values": await reading}), None
+        try:
+            async for part in self.kernels.pieces(hand.film_of(self.hand, eye)):
+                if isinstance(part, hand.Shown):
+                    # NumPy alone, so beside the drawing
+                    reading = asyncio.ensure_future(run_in_threadpool(hand.parameters_of, part))
+                    yield packed({"kind": "run", "which": which, "command": eye.command} | part.told()), part
+                else:
+                    first, pixels = part
+                    yield packed({"kind": "frames", "which": which, "first": first}, pixels.data), None
+            yield packed({"kind": "parameters", "which": which, "values": await reading}), None
+        finally:
+            if reading is not None:
+                reading.cancel()
+
+
+async def _sent(socket: WebSocket, message: bytes) -> bool:
+    """Whether a message went out: a tab may have closed its socket, which servers say in ways of their own."""
+    try:
+        await socket.send_bytes(message)
+    except Exception:
+        return False
+    return True
+
+
+def _refusal(problem: Exception, **about: int) -> bytes:
+    """The message that there is no picture, and why; about: the number of the request and the side of the eye."""
+    return packed(about | {"kind": "refused", "reason": _said(problem)})
 
 
 def _said(problem: Exception) -> str:

@@ -13,7 +13,9 @@ from typing import Any
 from taichi_eye.errors import SceneError
 
 LOOPBACK = "127.0.0.1"
-EVERYWHERE = "0.0.0.0", "::"  # no name by which a request could be told from a foreign one
+EVERYWHERE = "0.0.0.0"  # no name by which a request could be told from a foreign one
+HTTP_PORT = 80  # that browsers leave out
+CONNECTIONS = 64  # at a time; what comes on top is told that the server is busy
 MESSAGE_BYTES = 65536  # of a socket, from the browser
 PARTING_S = 1  # that open sockets may take to close
 
@@ -26,8 +28,8 @@ class Address:
 
     def __init__(self, host: str | None = None, port: int | None = None):
         host, port = host or LOOPBACK, port or 0
-        if host in EVERYWHERE:
-            raise SceneError(f"--host {host}: name the one address by which browsers reach this machine")
+        if ":" in host:
+            raise SceneError(f"--host {host}: must be an IPv4 address or a name")
         try:
             self.socket = socket.create_server((host, port))
         except (OSError, UnicodeError) as error:
@@ -36,10 +38,11 @@ class Address:
                 f"--host {host} --port {port or 'of any number'}: cannot be taken ({reason}); leave --port out for a "
                 "free one, --host for this machine alone"
             ) from None
-        self.port = self.socket.getsockname()[1]
-        self.hosts = {f"{host.lower()}:{self.port}"}
-        if host == LOOPBACK:
-            self.hosts.add(f"localhost:{self.port}")
+        bound, self.port = self.socket.getsockname()
+        if bound == EVERYWHERE:  # which has many spellings
+            self.socket.close()
+            raise SceneError(f"--host {host}: name the one address by which browsers reach this machine")
+        self.hosts = names(host, bound, self.port)
         self.url = f"http://{host}:{self.port}/"
 
     def serve(self, app) -> None:
@@ -49,6 +52,12 @@ class Address:
     def behind(self, make: Callable[[], Any]) -> Behind:
         """Serve what `make` makes in a thread of its own, where it is made, too."""
         return Behind(make, self)
+
+
+def names(host: str, bound: str, port: int) -> set[str]:
+    """What browsers may call an address in Host: the host as it was named, and the number that was bound for it."""
+    hosts = {host.lower(), bound} | ({"localhost"} if bound == LOOPBACK else set())
+    return {f"{each}:{port}" for each in hosts} | (hosts if port == HTTP_PORT else set())
 
 
 def _server(app, hosts):
@@ -67,6 +76,7 @@ def _server(app, hosts):
             ws_max_size=MESSAGE_BYTES,
             ws_per_message_deflate=False,
             timeout_graceful_shutdown=PARTING_S,
+            limit_concurrency=CONNECTIONS,
         )
     )
 

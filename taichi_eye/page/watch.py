@@ -19,6 +19,7 @@ import io
 import signal
 import time
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -65,7 +66,8 @@ class Watch(Watcher):
 
     def opened(self, recording, held) -> None:
         super().opened(recording, held)
-        if self._pressed:
+        if self._pressed:  # before there was anything to end
+            self._pressed = False
             self.signals.ask(signal.SIGINT)
         self._tell({"state": "running"})
 
@@ -111,8 +113,9 @@ class Watch(Watcher):
     async def _stop(self, request):
         from starlette.responses import PlainTextResponse
 
-        self._pressed = True
-        if self.signals is not None:
+        if self.signals is None:
+            self._pressed = True
+        else:
             self.signals.ask(signal.SIGINT)
         return PlainTextResponse("the run ends at its next sample\n")
 
@@ -156,9 +159,16 @@ class Watch(Watcher):
         return self._packed[1]
 
 
-def _plotted(traces: Mapping[str, np.ndarray]) -> dict[str, list[float]]:
-    every = max(1, len(traces["time_ms"]) // POINTS)
-    return {name: np.round(traces[column][::every], 5).tolist() for name, column in PLOTTED.items()}
+def _plotted(traces: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """The traces thinned, their last sample kept, and what is said of them all: where they stand and their most."""
+    count = len(traces["time_ms"])
+    kept = np.arange(0, count, max(1, count // POINTS))
+    kept = np.append(kept, count - 1) if kept[-1] != count - 1 else kept
+    rounded = {name: np.round(traces[column], 5) for name, column in PLOTTED.items()}
+    return {name: values[kept].tolist() for name, values in rounded.items()} | {
+        "now": {name: float(values[-1]) for name, values in rounded.items()},
+        "most": {name: float(values.max()) for name, values in rounded.items()},
+    }
 
 
 def _jpeg(image: np.ndarray) -> bytes:

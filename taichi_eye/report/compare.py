@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike
 
 from taichi_eye.errors import SceneError
 from taichi_eye.report.history import summarise
-from taichi_eye.scene.table import read_table
+from taichi_eye.scene.table import read_cells, read_table
 
 DISPLACEMENT, DEFLECTION = "apex_displacement_mm", "deflection_mm"
 # columns of what `analyze` writes
 ANALYSED = "apex_deformation_mm", "apex_deflection_mm"
+OF_RUN = "puff_apex_kpa"  # beside the apex: the table is a traces.csv of a run
 REACH_MM, SMALLEST_MM = 10.0, 0.002
 SECONDS_BELOW, MICROSECONDS_ABOVE = 0.5, 1000.0
 LATEST_START_MS = 45.0  # of a history that begins with the puff
@@ -53,8 +54,9 @@ class Measured:
 def read_measured(path: str | Path) -> Measured:
     """Read a table with the columns time_ms and either apex_displacement_mm or deflection_mm, inward positive.
 
-    A traces.csv of another run and a histories.csv of `analyze` will do; of the latter the deflection is taken. What a
-    spreadsheet does to a table is undone and noted; SceneError names the file, the line and the value of what is wrong.
+    A traces.csv of another run and a histories.csv of `analyze` will do. The latter's deflection is taken; the former's
+    apex_displacement_mm is one, too, as a run's apex does not move with the whole eye. What a spreadsheet does to a
+    table is undone and noted; SceneError names the file, the line and the value of what is wrong.
     """
     notes: list[str] = []
     table = read_table(Path(path), ("time_ms", DISPLACEMENT, DEFLECTION, *ANALYSED), notes)
@@ -85,6 +87,9 @@ def read_measured(path: str | Path) -> Measured:
             f"{path}: time_ms begins at {time[0]:g}; times count from the puff's start, which ends within 32 ms"
         )
     column = {ANALYSED[0]: DISPLACEMENT, ANALYSED[1]: DEFLECTION}.get(names[0], names[0])
+    if column == DISPLACEMENT and OF_RUN in read_cells(Path(path), lambda cell: cell == OF_RUN)[0]:
+        column = DEFLECTION
+        notes.append(f"{names[0]} of a run, which is without the movement of the whole eye")
     return Measured(Path(path).name, column, time, values, tuple(notes))
 
 

@@ -64,6 +64,16 @@ def test_a_slider_is_dragged_and_film_history_and_parameters_follow(server, one,
     tab.page.locator("#now").fill("5")
     assert picture(tab) not in shown and tab.page.locator("#shown").inner_text() == "5.00 ms"
     assert tab.page.evaluate("timings.film.length + timings.frame.length") == asked
+    # a frame of the hand does not stay once time has moved, also while its film is on its way
+    tab.page.evaluate("""(() => { moved(eyes[1], offer.sliders.find((one) => one.name === "iop"), 5, false); })()""")
+    while tab.page.evaluate("eyes[1].preview === null"):
+        tab.page.wait_for_timeout(5)
+    assert tab.page.locator("tr[data-name=a1_time_ms] td").nth(2).inner_text() == "-"
+    tab.page.evaluate(
+        """(() => { ask("film"); const now = at("now"); now.value = 20; now.dispatchEvent(new Event("input")); })()"""
+    )
+    first = settled(tab, first)
+    assert tab.page.evaluate("[eyes[1].preview, eyes[1].frames.length, eyes[1].due]") == [None, 139, False]
     # what is saved is what is shown
     with tab.page.expect_download() as kept:
         tab.page.locator(".keep").first.click()
@@ -76,6 +86,13 @@ def test_a_slider_is_dragged_and_film_history_and_parameters_follow(server, one,
     (tmp_path / "mine.csv").write_text(f"time_ms,deflection_mm\n{rows}\n")
     tab.page.locator("#measured").set_input_files(tmp_path / "mine.csv")
     tab.page.wait_for_selector("#said:has-text('mine.csv')")
+    # its dots stand beside their own quantity
+    dots = tab.page.evaluate("document.getElementById('plot').toDataURL()")
+    tab.page.locator("#what").select_option("deformation_mm")
+    assert "(apex deflection, shown while" in tab.page.locator("#said").inner_text()
+    tab.page.locator("#what").select_option("deflection_mm")
+    assert tab.page.evaluate("document.getElementById('plot').toDataURL()") == dots
+    assert tab.page.locator("#said").inner_text() == "laid over, in green: mine.csv (apex deflection)"
     with open(tmp_path / "large.csv", "wb") as large:
         large.truncate(100_000_000)
     wrong = list(tab.wrong)
@@ -84,7 +101,12 @@ def test_a_slider_is_dragged_and_film_history_and_parameters_follow(server, one,
     assert "4 MB" in tab.page.locator("#said").inner_text() or "too large" in tab.page.locator("#said").inner_text()
     # values beyond the limits are refused in words
     tab.page.evaluate("""(() => { eyes[0].values.iop = 1000; eyes[0].due = true; ask("film"); })()""")
-    tab.page.wait_for_selector(".refused:has-text('>= 1 and <= 100')")
+    tab.page.wait_for_selector(".eye:first-child .refused:has-text('>= 1 and <= 100')")
+    # and the table tells of the other eye alone
+    assert (
+        tab.page.locator("tr[data-name=a1_time_ms] td").nth(1).inner_text() == "-"
+        and parameter(tab, "a1_time_ms", 1) > 0
+    )
     assert wrong == other.wrong == []
     for each in (tab, other):
         each.page.close()

@@ -7,7 +7,9 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
+from taichi_eye.errors import SceneError
 from taichi_eye.page.guard import BODY_BYTES, Guard
+from taichi_eye.page.server import Address, names
 
 HERE = "127.0.0.1:8123"
 OWN = {"origin": f"http://{HERE}"}
@@ -42,6 +44,32 @@ def test_own_pages_are_answered_and_every_answer_carries_its_fence(client):
 def test_a_foreign_name_that_points_here_is_refused(client, host):
     answer = client.get("/", headers={"host": host})
     assert answer.status_code == 421 and "127.0.0.1:8123" in answer.text
+
+
+def test_the_port_that_browsers_leave_out_is_left_out_of_the_name():
+    assert names("127.0.0.1", "127.0.0.1", 80) == {"127.0.0.1:80", "localhost:80", "127.0.0.1", "localhost"}
+    assert names("Eye.Example", "192.0.2.7", 8000) == {"eye.example:8000", "192.0.2.7:8000"}
+    client = TestClient(
+        Guard(Starlette(routes=[Route("/", taken, methods=["POST"])]), names("a.example", "192.0.2.7", 80))
+    )
+    for own in ("a.example", "192.0.2.7"):
+        assert client.post("/", headers={"host": own, "origin": f"http://{own}"}).status_code == 200
+    assert client.post("/", headers={"host": "b.example", "origin": "http://b.example"}).status_code == 421
+
+
+@pytest.mark.parametrize(
+    "host, said",
+    [
+        ("0.0.0.0", "the one address"),
+        ("0", "the one address"),
+        ("0.0", "the one address"),
+        ("::1", "an IPv4 address"),
+        ("::", "an IPv4"),
+    ],
+)
+def test_a_host_that_is_every_one_or_none_is_refused(host, said):
+    with pytest.raises(SceneError, match=said):
+        Address(host)
 
 
 @pytest.mark.parametrize(

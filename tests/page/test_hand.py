@@ -8,6 +8,7 @@ import pytest
 
 from taichi_eye import cli
 from taichi_eye.analysis.simulated import response_of
+from taichi_eye.errors import SceneError
 from taichi_eye.film import FilmView
 from taichi_eye.page import hand
 from taichi_eye.scene import load_scene
@@ -18,6 +19,9 @@ from taichi_eye.solver.reduced import Cavity
 @pytest.fixture(scope="module")
 def eyes():
     return hand.load("seed", ["eye.iop_mmhg=17"], ("corvis_healthy", "keratoconus"))
+
+
+SEED = "seed with --set"
 
 
 def eye(eyes, name, **values):
@@ -54,8 +58,12 @@ def test_sliders_move_what_they_say(eyes):
     assert {key: own[key] for key in asked} == asked and own["eye.iop_mmhg"] == 20.0
     # the wall carries the pressure anew
     assert own["cornea.prestrain"] != healthy.cornea.prestrain
-    paper = eye(eyes, "seed", width=2.0, radius=8.0).scene
+    paper = eye(eyes, SEED, width=2.0, radius=8.0).scene
     assert paper.cornea.radius_mm / math.sqrt(paper.puff.spread_a) == pytest.approx(2.0)
+    # the slider of the width, which stays, still tells the truth
+    stays = eye(eyes, SEED, radius=9.1)
+    assert stays.scene.cornea.radius_mm == 9.1 and "puff.spread_a" in stays.command
+    assert hand.SLIDERS["width"].of(stays.scene) == pytest.approx(hand.SLIDERS["width"].of(eyes.scenes[SEED][0]))
 
 
 @pytest.mark.parametrize(
@@ -65,20 +73,20 @@ def test_sliders_move_what_they_say(eyes):
         ({"scene": ["seed"], "values": {}}, "seed"),
         ({"scene": "../seed", "values": {}}, "keratoconus"),
         (
-            {"scene": "seed", "values": {"iop": 1000}},
+            {"scene": SEED, "values": {"iop": 1000}},
             "eye.iop_mmhg = 1000.0: must be a number in mmHg, >= 1 and <= 100",
         ),
-        ({"scene": "seed", "values": {"iop": float("nan")}}, "must be a number"),
-        ({"scene": "seed", "values": {"iop": float("inf")}}, "must be a number"),
-        ({"scene": "seed", "values": {"iop": 10**400}}, "must be a number"),
-        ({"scene": "seed", "values": {"iop": True}}, "must be a number"),
-        ({"scene": "seed", "values": {"iop": "15"}}, "must be a number"),
-        ({"scene": "seed", "values": {"width": 0}}, "puff.spread_a"),
-        ({"scene": "seed", "values": {"globe": -0.1}}, "chamber.compliance_mm3_mmhg"),
-        ({"scene": "seed", "values": {"stiffness": -1}}, "cornea.stiffness_a_pa"),
-        ({"scene": "seed", "values": {"radius": 3}}, "limbus radius"),
-        ({"scene": "seed", "values": {"puff.file": "/etc/passwd"}}, "sliders of this eye are iop"),
-        ({"scene": "seed", "values": [1]}, "scene and values"),
+        ({"scene": SEED, "values": {"iop": float("nan")}}, "must be a number"),
+        ({"scene": SEED, "values": {"iop": float("inf")}}, "must be a number"),
+        ({"scene": SEED, "values": {"iop": 10**400}}, "must be a number"),
+        ({"scene": SEED, "values": {"iop": True}}, "must be a number"),
+        ({"scene": SEED, "values": {"iop": "15"}}, "must be a number"),
+        ({"scene": SEED, "values": {"width": 0}}, "puff.spread_a"),
+        ({"scene": SEED, "values": {"globe": -0.1}}, "chamber.compliance_mm3_mmhg"),
+        ({"scene": SEED, "values": {"stiffness": -1}}, "cornea.stiffness_a_pa"),
+        ({"scene": SEED, "values": {"radius": 3}}, "limbus radius"),
+        ({"scene": SEED, "values": {"puff.file": "/etc/passwd"}}, "sliders of this eye are iop"),
+        ({"scene": SEED, "values": [1]}, "scene and values"),
         ([], "scene and values"),
     ],
 )
@@ -88,20 +96,47 @@ def test_what_is_no_eye_is_refused_and_said(eyes, asked, said):
     assert said in str(refused.value)
 
 
+def test_a_scene_that_was_changed_hides_no_preset(eyes):
+    assert list(eyes.scenes) == [SEED, "corvis_healthy", "keratoconus"]
+    both = hand.load("corvis_healthy", ["eye.iop_mmhg=33"], ("corvis_healthy",))
+    changed, plain = (both.eye({"scene": name}).scene for name in both.scenes)
+    assert changed.eye.iop_mmhg == 33 and plain == load_scene("corvis_healthy")
+
+
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        (["camera.width_px=2048", "camera.height_px=1024"], "camera.width_px = 2048"),
+        (["camera.frame_interval_ms=0.01"], "camera.frame_interval_ms = 0.01"),
+        (["camera.frame_interval_ms=0.01", "camera.frame_count=2"], "numerics.duration_ms = 3"),
+    ],
+)
+def test_a_film_too_large_for_a_tab_is_refused(words, said):
+    with pytest.raises(SceneError) as refused:
+        hand.load("seed", words, ())
+    assert said in str(refused.value) and "pixels" in str(refused.value)
+
+
+def test_a_scene_with_a_frame_count_of_its_own_is_filmed_to_its_end():
+    eyes = hand.load("seed", ["numerics.duration_ms=3", "camera.frame_count=2"], ())
+    shown = hand.Hand().run(eye(eyes, SEED).scene, hand.DRAGGED)
+    assert shown.time_ms[-1] == pytest.approx(3.0, abs=shown.scene.camera.frame_interval_ms)
+
+
 def test_a_puff_from_a_file_has_no_slider_for_its_peak(tmp_path):
     (tmp_path / "puff.csv").write_text("time_ms,pressure_kpa\n0,0\n15,9\n30,0\n")
     words = ["puff.time_course=file", f"puff.file={tmp_path / 'puff.csv'}"]
     eyes = hand.load("seed", words, ())
-    assert "puff" not in hand.of_scene(eyes.scenes["seed"][0])
+    assert "puff" not in hand.of_scene(eyes.scenes[SEED][0])
     with pytest.raises(hand.Refused):
-        eye(eyes, "seed", puff=3)
+        eye(eyes, SEED, puff=3)
 
 
 def test_the_command_runs_the_same_eye(eyes):
-    moved = eye(eyes, "seed", iop=21.5, stiffness=1.3, width=1.9)
+    moved = eye(eyes, SEED, iop=21.5, stiffness=1.3, width=1.9)
     given = cli.parser().parse_args(shlex.split(moved.command)[1:])
     assert given.command == "run" and load_scene(given.scene, given.overrides) == moved.scene
-    assert eye(eyes, "seed").command == "taichi-eye run seed --set eye.iop_mmhg=17"
+    assert eye(eyes, SEED).command == "taichi-eye run seed --set eye.iop_mmhg=17"
 
 
 def test_the_film_is_that_of_the_cavity_rung_and_its_parameters_those_of_its_wall(eyes):
@@ -138,8 +173,8 @@ def test_the_film_is_that_of_the_cavity_rung_and_its_parameters_those_of_its_wal
 
 
 def test_an_eye_that_leaves_its_validity_says_so_and_shows_what_there_is(eyes):
-    shown, *pieces = hand.film_of(hand.Hand(), eye(eyes, "seed", iop=5, puff=25, globe=3))
-    assert "stopped at" in shown.stop and 0 < len(shown.time_ms) < eyes.scenes["seed"][0].camera.frame_count
+    shown, *pieces = hand.film_of(hand.Hand(), eye(eyes, SEED, iop=5, puff=25, globe=3))
+    assert "stopped at" in shown.stop and 0 < len(shown.time_ms) < eyes.scenes[SEED][0].camera.frame_count
     assert sum(len(pixels) for _, pixels in pieces) == len(shown.time_ms)
 
 
@@ -147,4 +182,4 @@ def test_a_shell_that_folds_is_said_to_after_its_film(eyes):
     worked, asked = hand.Hand(), eye(eyes, "corvis_healthy", iop=5, puff=25, globe=3)
     shown = worked.run(asked.scene, hand.FILMED)
     assert "folded" in hand.fold_of(worked, asked, shown)
-    assert hand.fold_of(worked, eye(eyes, "seed"), worked.run(eyes.scenes["seed"][0], hand.FILMED)) == ""
+    assert hand.fold_of(worked, eye(eyes, SEED), worked.run(eyes.scenes[SEED][0], hand.FILMED)) == ""

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import io
 import json
+import socket
 import struct
 import threading
 import time
@@ -14,10 +15,12 @@ import pytest
 from starlette.testclient import TestClient
 from websockets.asyncio.client import connect
 
+from taichi_eye.analysis.report import FAR
+from taichi_eye.film.display import gain_of
 from taichi_eye.page import hand, play
 from taichi_eye.page.files import STATIC
 from taichi_eye.page.guard import Guard
-from taichi_eye.page.server import Address
+from taichi_eye.page.server import CONNECTIONS, Address
 from taichi_eye.page.thread import Kernels
 from taichi_eye.scene import load_scene
 
@@ -108,64 +111,95 @@ def test_two_eyes_are_two_films_one_after_the_other(client):
 
 
 def test_a_frame_while_dragging_comes_with_the_history_so_far(client):
-    with client.websocket_connect(f"ws://{HERE}/hand", headers=OWN) as socket:
-        socket.send_text(request(3, iop=9))
-        head, pixels = unpacked(socket.receive_bytes())
+    with client.websocket_connect(f"ws://{HERE}/hand", headers=OWN) as tab:
+        tab.send_text(request(3, iop=9))
+        head, pixels = unpacked(tab.receive_bytes())
     assert head["kind"] == "frame" and head["number"] == 3 and len(head["time_ms"]) == 30
+    assert head["command"] == "taichi-eye run seed --set eye.iop_mmhg=9.0"
     assert (pixels == 9).all() and len(pixels) == 24
 
 
 def test_of_a_tab_the_newest_request_alone_is_computed(page, client):
     page.hand.held = threading.Event()
-    with client.websocket_connect(f"ws://{HERE}/hand", headers=OWN) as socket:
+    with client.websocket_connect(f"ws://{HERE}/hand", headers=OWN) as tab:
         for number in range(1, 41):
-            socket.send_text(request(number, iop=5 + number))
+            tab.send_text(request(number, iop=5 + number))
         while not page.hand.ran:
             time.sleep(0.001)
         time.sleep(0.2)  # all of them have come in by now
         page.hand.held.set()
         numbers = []
         while not numbers or numbers[-1] != 40:
-            numbers.append(unpacked(socket.receive_bytes())[0]["number"])
+            numbers.append(unpacked(tab.receive_bytes())[0]["number"])
     assert numbers == sorted(numbers) and page.hand.ran[-1] == 45 and len(page.hand.ran) <= 3
 
 
-REFUSED = [
+NO_REQUEST = [
     ("{", "JSON"),
     ("[" * 5000, "JSON"),
     ("[]", "eyes: 1 to 2"),
     (request(which=2), "which"),
-    (request(iop=101), "eye.iop_mmhg = 101.0: must be a number in mmHg, >= 1 and <= 100"),
-    (request(scene="/etc/passwd"), "there are seed, corvis_healthy"),
     (json.dumps({"number": 1, "time_ms": 1, "eyes": [{}, {}, {}]}), "eyes: 1 to 2"),
     (json.dumps({"number": 1, "time_ms": 1, "eyes": [3]}), "which"),
+]
+NO_EYE = [
+    (request(iop=101, which=1), "eye.iop_mmhg = 101.0: must be a number in mmHg, >= 1 and <= 100"),
+    (request(scene="/etc/passwd", which=1), "there are seed, corvis_healthy"),
 ]
 OF_FRAMES = [(request(1, time_ms=-1), "time_ms"), (request(1, time_ms=1e9), "time_ms"), (request(-1), "number")]
 
 
-@pytest.mark.parametrize("text, said", REFUSED + OF_FRAMES)
+@pytest.mark.parametrize("text, said", NO_REQUEST + NO_EYE + OF_FRAMES)
 def test_a_request_that_is_none_is_refused_and_the_tab_lives_on(client, text, said):
-    with client.websocket_connect(f"ws://{HERE}/hand", headers=OWN) as socket:
-        socket.send_text(text)
-        head, _ = unpacked(socket.receive_bytes())
+    with client.websocket_connect(f"ws://{HERE}/hand", headers=OWN) as tab:
+        tab.send_text(text)
+        head, _ = unpacked(tab.receive_bytes())
         assert head["kind"] == "refused" and said in head["reason"]
-        socket.send_text(request(2))
-        assert unpacked(socket.receive_bytes())[0]["kind"] == "frame"
-    if (text, said) in REFUSED:
+        assert head.get("which") == (1 if (text, said) in NO_EYE else None)
+        tab.send_text(request(2))
+        assert unpacked(tab.receive_bytes())[0]["kind"] == "frame"
+    if (text, said) in NO_REQUEST:
         answer = client.post("/film", content=text, headers=OWN)
         assert answer.status_code == 400 and said in answer.text
 
 
+@pytest.mark.parametrize("bad", [0, 1])
+def test_an_eye_that_is_refused_leaves_the_other_its_film(client, bad):
+    eyes = [{"which": which, "scene": "seed", "values": {"iop": 500 if which == bad else 30}} for which in (0, 1)]
+    heads = [head for head, _ in messages(client.post("/film", json={"eyes": eyes}, headers=OWN).content)]
+    of = {which: [head["kind"] for head in heads if head.get("which") == which] for which in (0, 1)}
+    assert of == {bad: ["refused"], 1 - bad: ["run", "frames", "frames", "frames", "parameters"]}
+    assert heads[-1]["kind"] == "done" and "eye.iop_mmhg" in next(h["reason"] for h in heads if h["kind"] == "refused")
+    with client.websocket_connect(f"ws://{HERE}/hand", headers=OWN) as tab:
+        tab.send_text(json.dumps({"number": 1, "time_ms": 1, "eyes": eyes}))
+        found = [unpacked(tab.receive_bytes())[0] for _ in eyes]
+    assert [head["kind"] for head in found] == [("refused" if which == bad else "frame") for which in (0, 1)]
+
+
+def test_a_tab_that_went_away_while_its_answer_was_computed_is_left(page):
+    class Gone:
+        async def send_bytes(self, data):
+            raise RuntimeError('Cannot call "send" once a close message has been sent.')
+
+    async def answered(text):
+        asked = asyncio.Event()
+        asked.set()
+        await asyncio.wait_for(page._answer(Gone(), [text], asked), 10)
+
+    for text in ("{", request(), request(iop=500)):
+        asyncio.run(answered(text))
+
+
 def test_what_nobody_foresaw_is_said_in_the_page_and_on_the_terminal(page, client, capfd):
     whole, page.hand.run = page.hand.run, lambda *_: 1 / 0
-    with client.websocket_connect(f"ws://{HERE}/hand", headers=OWN) as socket:
-        socket.send_text(request(1))
-        assert "ZeroDivisionError" in unpacked(socket.receive_bytes())[0]["reason"]
+    with client.websocket_connect(f"ws://{HERE}/hand", headers=OWN) as tab:
+        tab.send_text(request(1))
+        assert "ZeroDivisionError" in unpacked(tab.receive_bytes())[0]["reason"]
         found = messages(client.post("/film", content=request(), headers=OWN).content)
-        assert [head["kind"] for head, _ in found] == ["refused"] and "Traceback" in capfd.readouterr().err
+        assert [head["kind"] for head, _ in found] == ["refused", "done"] and "Traceback" in capfd.readouterr().err
         page.hand.run = whole
-        socket.send_text(request(2))
-        assert unpacked(socket.receive_bytes())[0]["kind"] == "frame"
+        tab.send_text(request(2))
+        assert unpacked(tab.receive_bytes())[0]["kind"] == "frame"
 
 
 def test_the_scene_that_is_saved_is_the_one_that_is_shown(client, tmp_path):
@@ -189,7 +223,15 @@ def test_a_measured_history_is_read_as_compare_reads_it(client):
     told = client.post("/measured?name=eye%201.csv", content=table.encode(), headers=OWN).json()
     assert told["name"] == "eye 1.csv" and told["column"] == "deflection_mm"
     assert max(told["displacement_mm"]) == pytest.approx(depth, rel=0.01) and len(told["time_ms"]) == 40
-    for name in ("../../etc/passwd", "<img src=x onerror=alert(1)>", "", "a" * 500, "/dev/null", ".."):
+    for name in (
+        "../../etc/passwd",
+        "<img src=x onerror=alert(1)>",
+        "",
+        "a" * 500,
+        "\U00020000" * 80,
+        "/dev/null",
+        "..",
+    ):
         refused = client.post("/measured", params={"name": name}, content=b"what,ever\n1,2\n", headers=OWN)
         assert refused.status_code == 400 and "time_ms" in refused.text and "/" not in refused.text.split(":")[0]
     assert client.post("/measured", content=b"0" * 100_000_000, headers=OWN).status_code == 413
@@ -240,6 +282,9 @@ def test_the_page_and_all_that_it_names_are_served_by_itself(client):
     offer = client.get("/eyes").json()
     assert [scene["name"] for scene in offer["scenes"]] == ["seed", "corvis_healthy"]
     assert {slider["name"] for slider in offer["sliders"]} == set(hand.SLIDERS)
+    assert offer["far"] == FAR and [one["gain"] for one in offer["scenes"]] == [
+        gain_of(load_scene(one["name"])) for one in offer["scenes"]
+    ]
 
 
 def test_many_tabs_get_each_its_own_and_those_that_vanish_harm_nobody(page):
@@ -306,6 +351,20 @@ def test_a_film_that_is_broken_off_is_not_drawn_to_its_end(page):
         with httpx.stream("POST", f"{origin}/film", content=request(), headers={"Origin": origin}) as answer:
             assert messages(answer.read())[-1][0]["kind"] == "done" and len(drawn) == 4
     finally:
+        behind.stop()
+
+
+def test_more_connections_than_are_served_are_told_so(page):
+    address = Address()
+    behind = address.behind(lambda: page.app)
+    held = []
+    try:
+        assert httpx.get(address.url).status_code == 200
+        held += [socket.create_connection(("127.0.0.1", address.port)) for _ in range(CONNECTIONS)]
+        assert httpx.get(address.url).status_code == 503
+    finally:
+        for one in held:
+            one.close()
         behind.stop()
 
 

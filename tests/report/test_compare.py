@@ -28,8 +28,16 @@ def test_traces_of_another_run_will_do(tmp_path):
         {name: np.zeros(65) for name in COLUMNS} | {"time_ms": t, "apex_displacement_mm": hump(t)},
     )
     measured = read_measured(tmp_path / "traces.csv")
-    assert measured.column == "apex_displacement_mm"
+    # what a run calls a displacement has no movement of the whole eye in it
+    assert measured.column == "deflection_mm" and any("whole eye" in note for note in measured.notes)
     np.testing.assert_array_equal(measured.displacement_mm, hump(t))
+
+
+def test_a_displacement_of_an_instrument_stays_one(tmp_path):
+    path = tmp_path / "eye.csv"
+    path.write_text("time_ms,apex_displacement_mm,puff_kpa\n0,0,0\n1.5,0.25,3\n2,0.5,4\n")
+    measured = read_measured(path)
+    assert measured.column == "apex_displacement_mm" and measured.notes == ()
 
 
 @pytest.mark.parametrize(

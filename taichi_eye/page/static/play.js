@@ -3,7 +3,7 @@
 // alone is answered; once it is let go the whole film comes as a stream, which is broken off before anything else is
 // asked for. Every frame is kept here, so time itself is dragged without asking anybody.
 
-const COLOURS = ["#14539a", "#c9641a"], MEASURED = "#46b06f", FAR = 2, SHORT = new Set([
+const COLOURS = ["#14539a", "#c9641a"], MEASURED = "#46b06f", SHORT = new Set([
   "a1_time_ms", "a1_velocity_m_s", "a1_length_mm", "a1_deflection_mm", "hc_time_ms", "deformation_amplitude_mm",
   "hc_deflection_mm", "hc_circle_radius_mm", "peak_distance_mm", "da_ratio_2mm", "integrated_inverse_radius_per_mm",
   "a2_time_ms", "a2_velocity_m_s", "whole_eye_movement_mm", "central_thickness_um", "iop_nct_mmhg", "biop_mmhg",
@@ -12,7 +12,8 @@ const at = (id) => document.getElementById(id);
 const timings = { frame: [], film: [] };  // ms from the hand to the picture, as measured here
 window.timings = timings;
 const starts = new Map();  // when the hand asked, by number
-let offer, socket, film = null, number = 0, measured = null, curves = null, playing = null, failures = 0;
+const QUANTITIES = { deflection_mm: "apex deflection", deformation_mm: "apex deformation" };
+let offer, socket, film = null, number = 0, measured = null, curves = null, playing = null, failures = 0, brightened = false;
 const eyes = [0, 1].map((which) => ({ which, scene: null, values: {}, frames: [], run: null, parameters: {}, due: true,
   preview: null }));
 
@@ -63,13 +64,19 @@ async function whole(request, start) {
   const mine = film = new AbortController();
   try {
     const answer = await fetch("film", { method: "POST", body: JSON.stringify(request), signal: mine.signal });
-    if (!answer.ok) { refused(await answer.text(), request); return; }
+    if (!answer.ok) {
+      const reason = await answer.text();
+      for (const { which } of request.eyes) refused(eyes[which], reason);
+      settle(request.number);
+      return;
+    }
     await messages(answer.body.getReader(), (data) => {
       if (film !== mine) return;
       if (unpack(data).head.kind !== "done") { take(data, request); return; }
       tabulate();
       draw();
-      told("film", performance.now() - start);
+      if (request.eyes.some(({ which }) => !eyes[which].due)) told("film", performance.now() - start);
+      else at("state").textContent = "";
       settle(request.number);
     });
   } catch (problem) {
@@ -102,32 +109,44 @@ function unpack(data) {
   return { head: JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length))), pixels: new Uint8Array(data, 4 + length) };
 }
 
-function refused(reason, request) {
-  refusals()[request ? request.eyes[0].which : 0].textContent = reason;
-  settle(request ? request.number : number);
+// Nothing of an eye that is not there any more stays in sight.
+function refused(eye, reason) {
+  refusals()[eye.which].textContent = reason;
+  Object.assign(eye, { frames: [], run: null, parameters: {}, due: true, preview: null });
+  const canvas = document.querySelectorAll(".eye canvas")[eye.which];
+  canvas.getContext("2d").clearRect(0, 0, canvas.width, canvas.height);
+  document.querySelectorAll(".foot code")[eye.which].textContent = "";
+  tabulate();
+  plot();
+}
+
+function ran(eye, head) {
+  eye.run = head;
+  document.querySelectorAll(".foot code")[eye.which].textContent = head.command;
+  refusals()[eye.which].textContent = head.stop;
 }
 
 function take(data, request = null) {
   const { head, pixels } = unpack(data), eye = eyes[head.which];
   if (head.kind === "refused") {
-    refused(head.reason, request);
+    if (!request && film) return;
+    if (eye) refused(eye, head.reason);
+    else at("state").textContent = head.reason;  // of a request that is none: whose eye it is cannot be told
   } else if (head.kind === "frame") {
     if (film) return;  // the whole film is on its way
     eye.preview = pixels;
-    eye.run = head;
+    ran(eye, head);
     draw();
     told("frame", performance.now() - starts.get(head.number));
     for (const old of starts.keys()) if (old <= head.number) starts.delete(old);
   } else if (head.kind === "run") {
-    eye.run = head;
     eye.frames = [];
-    document.querySelectorAll(".foot code")[eye.which].textContent = head.command;
-    refusals()[eye.which].textContent = head.stop;
+    ran(eye, head);
   } else if (head.kind === "frames") {
     const size = scene(eye).width * scene(eye).height;
     const before = eye.frames.length, wanted = frameAt(eye, now());
     for (let k = 0; k * size < pixels.length; k += 1) eye.frames[head.first + k] = pixels.subarray(k * size, (k + 1) * size);
-    if (before <= wanted && wanted < eye.frames.length) { eye.preview = null; drawEye(eye); }
+    if (wanted < eye.frames.length && (eye.preview || before <= wanted)) { eye.preview = null; drawEye(eye); }
   } else if (head.kind === "parameters") {
     eye.parameters = head.values;
     eye.due = false;
@@ -159,7 +178,7 @@ function drawEye(eye) {
   const grey = eye.preview || eye.frames[frameAt(eye, now())];
   if (!grey || grey.length !== width * height) return;
   if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-  const gain = Number(at("gain").value);
+  const gain = brightened ? Number(at("gain").value) : scene(eye).gain;
   if (gain !== paint.gain) {
     paint.gain = gain;
     for (let k = 0; k < 256; k += 1) paint.table[k] = 0xff000000 | (Math.min(255, Math.round(k * gain)) * 0x010101);
@@ -193,6 +212,12 @@ function trace(pen, { pixel_mm: [width, height], apex_px: [column, row] }) {
   pen.setLineDash([]);
 }
 
+// Time moves: a frame that was drawn for another time goes.
+function turn() {
+  for (const eye of eyes) eye.preview = null;
+  draw();
+}
+
 function draw() {
   for (const eye of shownEyes()) drawEye(eye);
   at("shown").textContent = `${now().toFixed(2)} ms`;
@@ -209,7 +234,8 @@ function plot() {
   const [left, right, top, bottom] = [56, canvas.width - 56, 30, canvas.height - 44];
   const drawn = shownEyes().filter((eye) => eye.run);
   const end = Math.max(...shownEyes().map((eye) => scene(eye).duration_ms));
-  const most = Math.max(0.05, ...drawn.map((eye) => Math.max(...eye.run[what])), ...(measured ? measured.displacement_mm : []));
+  const laid = measured && measured.what === what ? measured : null;  // the other quantity is another curve
+  const most = Math.max(0.05, ...drawn.map((eye) => Math.max(...eye.run[what])), ...(laid ? laid.displacement_mm : []));
   const load = Math.max(0.1, ...drawn.map((eye) => Math.max(...eye.run.puff_kpa)));
   const step = nice(most / 4), high = step * Math.ceil(most * 1.05 / step);
   const low = -0.06 * high;
@@ -232,7 +258,7 @@ function plot() {
   for (let time = 0; time <= end + 1e-9; time += tick) pen.fillText(Number(time.toFixed(3)).toString(), x(time), bottom + 8);
   pen.fillText("time, ms", (left + right) / 2, bottom + 26);
   pen.textAlign = "left";
-  pen.fillText(`apex ${what === "deflection_mm" ? "deflection" : "deformation"}, mm`, left - 50, 4);
+  pen.fillText(`${QUANTITIES[what]}, mm`, left - 50, 4);
   pen.textAlign = "right";
   pen.fillText(`puff (shaded), up to ${load.toFixed(1)} kPa`, right + 50, 4);
   const line = (times, values, colour, dash, width, scale = 1) => {
@@ -248,10 +274,10 @@ function plot() {
     times.forEach((time, k) => pen.lineTo(x(time), y(puff[k] / load * high * 0.95)));
     pen.lineTo(x(times[times.length - 1]), y(0)); pen.fill();
   });
-  if (measured) {
+  if (laid) {
     pen.fillStyle = MEASURED;
-    measured.time_ms.forEach((time, k) => {
-      if (time >= 0 && time <= end) { pen.beginPath(); pen.arc(x(time), y(measured.displacement_mm[k]), 2.4, 0, 7); pen.fill(); }
+    laid.time_ms.forEach((time, k) => {
+      if (time >= 0 && time <= end) { pen.beginPath(); pen.arc(x(time), y(laid.displacement_mm[k]), 2.4, 0, 7); pen.fill(); }
     });
   }
   drawn.forEach((eye) => {
@@ -284,7 +310,7 @@ function tabulate() {
       if (one.norm && value !== null && value !== undefined) {
         const z = (value - one.norm[0]) / one.norm[1];
         cell.title = `z ${z.toFixed(1)}`;
-        if (Math.abs(z) > FAR) cell.classList.add("far");
+        if (Math.abs(z) > offer.far) cell.classList.add("far");
       }
       row.append(cell);
     }
@@ -299,7 +325,9 @@ function tabulate() {
 
 function moved(eye, slider, value, whole) {
   eye.values[slider.name] = value;
-  eye.due = true;
+  const told = Object.keys(eye.parameters).length;
+  Object.assign(eye, { due: true, frames: [], parameters: {} });  // what there was is of another eye
+  if (told) tabulate();
   pause();
   ask(whole ? "film" : "frame", whole ? null : eye);
 }
@@ -334,6 +362,7 @@ function panel(eye) {
   const room = make("div", { className: "sliders" }, ...sliders(eye));
   const back = make("button", { className: "back", textContent: "back to the scene" });
   const start = () => {
+    if (!eye.which) brightness();
     Object.assign(eye, { values: {}, frames: [], run: null, parameters: {}, due: true, preview: null });
     room.replaceChildren(...sliders(eye));
     at("now").max = Math.max(...shownEyes().map((one) => scene(one).duration_ms));
@@ -344,7 +373,8 @@ function panel(eye) {
   back.addEventListener("click", start);
   const keep = make("button", { className: "keep", textContent: "save as scene" });
   keep.addEventListener("click", () => save(eye));
-  const copy = make("button", { textContent: "copy" });
+  // a browser gives its clipboard to pages of this machine, not to those that come over a network in the clear
+  const copy = make("button", { textContent: "copy", hidden: !navigator.clipboard });
   const code = make("code", { title: "run with the model of the scene" });
   copy.addEventListener("click", () => navigator.clipboard.writeText(code.textContent));
   return make("section", { className: eye.which ? "eye other" : "eye" }, make("div", { className: "top" }, choice, back, keep),
@@ -371,10 +401,10 @@ async function lay(file) {
     const found = await answer.json();
     if (found.height_mm) curves = found;
     else {
-      measured = found;
-      at("what").value = measured.column === "deflection_mm" ? "deflection_mm" : "deformation_mm";
+      measured = { ...found, what: found.column === "deflection_mm" ? "deflection_mm" : "deformation_mm" };
+      at("what").value = measured.what;
     }
-    said.textContent = [`laid over, in green: ${found.name}`, ...found.notes].join("; ");
+    say();
     at("forget").hidden = false;
   } catch (problem) {
     said.className = "refused";
@@ -382,6 +412,18 @@ async function lay(file) {
   }
   at("measured").value = "";
   draw();
+}
+
+// What is laid over, and of which quantity.
+function say() {
+  const lines = [];
+  if (measured) {
+    const shown = measured.what === at("what").value ? "" : ", shown while that is selected";
+    lines.push([`${measured.name} (${QUANTITIES[measured.what]}${shown})`, ...measured.notes].join("; "));
+  }
+  if (curves) lines.push([curves.name, ...curves.notes].join("; "));
+  at("said").className = "note";
+  at("said").textContent = lines.length ? `laid over, in green: ${lines.join(". ")}` : "";
 }
 
 function pause() {
@@ -397,8 +439,13 @@ function play() {
   playing = setInterval(() => {
     const later = now() + interval;
     at("now").value = later > Number(at("now").max) ? 0 : later;
-    draw();
+    turn();
   }, 40);
+}
+
+// As bright as every other picture of the scene, until the hand says otherwise.
+function brightness() {
+  if (!brightened) at("gain").value = scene(eyes[0]).gain;
 }
 
 async function begin() {
@@ -409,15 +456,16 @@ async function begin() {
   at("eyes").replaceChildren(...eyes.map(panel));
   at("now").max = Math.max(...eyes.map((eye) => scene(eye).duration_ms));
   at("now").value = Math.min(16.5, Number(at("now").max));
-  at("now").addEventListener("input", () => { pause(); draw(); });
+  at("now").addEventListener("input", () => { pause(); turn(); });
   at("run").addEventListener("click", play);
-  at("gain").addEventListener("input", draw);
-  at("what").addEventListener("change", plot);
+  brightness();
+  at("gain").addEventListener("input", () => { brightened = true; draw(); });
+  at("what").addEventListener("change", () => { say(); plot(); });
   at("measured").addEventListener("change", (event) => lay(event.target.files[0]));
   at("forget").addEventListener("click", () => {
     measured = curves = null;
     at("forget").hidden = true;
-    at("said").textContent = "";
+    say();
     draw();
   });
   at("two").addEventListener("change", () => {

@@ -46,8 +46,8 @@ async function take(data) {
 function plot(head) {
   const canvas = at("plot"), pen = canvas.getContext("2d");
   const [left, right, top, bottom] = [70, canvas.width - 70, 34, canvas.height - 34];
-  const lines = [["apex displacement, mm", head.apex_mm, "#14539a", []], ["puff at the apex, kPa", head.puff_kpa, "#c9641a", [8, 4]],
-    ["liquid under the apex, kPa", head.pressure_kpa, "#3d8b57", [2, 3]]];
+  const lines = [["apex displacement, mm", "apex_mm", "#14539a", []], ["puff at the apex, kPa", "puff_kpa", "#c9641a", [8, 4]],
+    ["liquid under the apex, kPa", "pressure_kpa", "#3d8b57", [2, 3]]];
   const x = (time) => left + (time / head.end_ms) * (right - left);
   pen.clearRect(0, 0, canvas.width, canvas.height);
   pen.font = "14px system-ui, sans-serif";
@@ -60,8 +60,8 @@ function plot(head) {
     pen.fillText(Number(time.toFixed(2)).toString(), x(time), bottom + 18);
   }
   pen.fillText("ms", right + 30, bottom + 18);
-  lines.forEach(([name, values, colour, dash], k) => {
-    const high = Math.max(0.01, ...values), low = Math.min(0, ...values);
+  lines.forEach(([name, which, colour, dash], k) => {
+    const values = head[which], most = head.most[which], high = Math.max(0.01, most), low = Math.min(0, ...values);
     const y = (value) => bottom - ((value - low) / (high - low)) * (bottom - top);
     pen.strokeStyle = pen.fillStyle = colour;
     pen.setLineDash(dash);
@@ -72,7 +72,7 @@ function plot(head) {
     pen.setLineDash([]);
     pen.lineWidth = 1;
     pen.textAlign = "left";
-    pen.fillText(`${name}: now ${values[values.length - 1].toPrecision(3)}, up to ${high.toPrecision(3)}`, left + k * 370, 16);
+    pen.fillText(`${name}: now ${head.now[which].toPrecision(3)}, up to ${most.toPrecision(3)}`, left + k * 370, 16);
   });
 }
 
