@@ -27,7 +27,7 @@ from taichi_eye.estimation.fit import SD_68, SD_95, Problem, Solution, interval,
 from taichi_eye.estimation.observation import Observation
 from taichi_eye.estimation.reading import read, run_scene_of
 from taichi_eye.estimation.unknowns import IOP, UNKNOWNS, Known, beforehand, own_values
-from taichi_eye.eye.eye import eye_of
+from taichi_eye.eye.eye import refuse_no_puff
 from taichi_eye.scene import Scene
 
 FREE = tuple(name for name, unknown in UNKNOWNS.items() if unknown.tissue)
@@ -177,8 +177,7 @@ def problem_of(
     tell: Callable[[str], None] = lambda text: None,
 ) -> Problem:
     """What is to be solved, with what the user, the film and the calibration know; SceneError for bad input."""
-    if eye_of(scene).puff.peak == 0.0:
-        raise SceneError("the scene's puff has no pressure: an eye without a puff does not move")
+    refuse_no_puff(scene)
     if scene.puff.time_course == "file":
         raise SceneError(
             f'puff.file = "{scene.puff.file}": the strength of a puff is part of an estimate, and a file has none to '

@@ -19,6 +19,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from taichi_eye.errors import SceneError
 from taichi_eye.eye.laws import Law, law_of
 from taichi_eye.eye.puff import Puff, read_puff
 from taichi_eye.eye.retreat import Retreat
@@ -26,6 +27,7 @@ from taichi_eye.eye.section import Section
 from taichi_eye.eye.tissue import biaxial_tangent, flexural_rigidity
 from taichi_eye.scene import Scene
 from taichi_eye.scene.calibration import rest_stress
+from taichi_eye.scene.draft import written
 from taichi_eye.units import KPA, MM, MM3, MMHG, MPA, MPA_S, MS
 
 REFERENCE_IOP = 15.0 * MMHG  # at which stiffnesses that follow the pressure are named
@@ -221,6 +223,13 @@ def eye_of(scene: Scene) -> Eye:
         puff=_puff_of(scene, section),
         retreat=Retreat(scene.eye.whole_eye_movement_mm * MM),
     )
+
+
+def refuse_no_puff(scene: Scene, where: str = "the scene") -> None:
+    """SceneError, which names the key, where the puff of a scene never presses: such an eye has no response."""
+    if eye_of(scene).puff.peak == 0.0:
+        key = "puff.file" if scene.puff.time_course == "file" else "puff.peak_kpa"
+        raise SceneError(f"{where}: {key} = {written(scene.values()[key])}: an eye without a puff does not move")
 
 
 def _puff_of(scene: Scene, section: Section) -> Puff:

@@ -25,8 +25,7 @@ from taichi_eye.analysis.error_bar import error_bar
 from taichi_eye.analysis.norms import NORMS, judged_by, z_scores
 from taichi_eye.analysis.response import Response
 from taichi_eye.analysis.simulated import Observed, Reading, observe_many, response_of
-from taichi_eye.errors import SceneError
-from taichi_eye.eye.eye import eye_of
+from taichi_eye.eye.eye import refuse_no_puff
 from taichi_eye.ladder.twin import twin_of
 from taichi_eye.proof import clinic, public, windows
 from taichi_eye.proof.population import SimulatedEye, crossed, simulate_many, slopes
@@ -260,8 +259,8 @@ def report(
     scene = load_scene(path, overrides)
     beside = load_scene(healthy) if healthy else None
     for file, one in ((path, scene), (healthy, beside)):
-        if one is not None and eye_of(one).puff.peak == 0.0:
-            raise SceneError(f"{file}: the puff has no pressure: an eye without a puff has no dynamic response")
+        if one is not None:
+            refuse_no_puff(one, file)
     if scene.numerics.error_bar and scene.numerics.fidelity != "auto":
         twin_of(scene)
     folder = create_run_folder(out, "clinic")

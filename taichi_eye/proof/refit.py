@@ -31,7 +31,7 @@ from tqdm import tqdm
 
 from taichi_eye.analysis.norms import judged_by
 from taichi_eye.errors import SceneError
-from taichi_eye.eye.eye import eye_of
+from taichi_eye.eye.eye import refuse_no_puff
 from taichi_eye.ladder.rungs import with_numerics
 from taichi_eye.proof.dcr import SHOWN, slopes_of
 from taichi_eye.proof.population import simulate, starred
@@ -257,8 +257,7 @@ def report(
 ) -> Fit:
     """Fit a scene file's keys to the clinical targets; print the tables and the overrides to paste."""
     scene = load_scene(path, overrides)
-    if eye_of(scene).puff.peak == 0.0:
-        raise SceneError(f"{path}: the puff has no pressure: an eye without a puff has no dynamic response")
+    refuse_no_puff(scene, path)
     with tqdm(unit=" eyes", disable=not progress, dynamic_ncols=True, leave=False) as bar:
 
         def tell(cost: float) -> None:

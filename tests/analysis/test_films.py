@@ -123,6 +123,7 @@ def test_a_film_file_from_the_command_line(movie, true, tmp_path):
     assert {p.name for p in (tmp_path / "out").iterdir()} == {
         "parameters.csv",
         "parameters.json",
+        "report.html",
         "histories.csv",
         "edges.npz",
         "overlay.mp4",

@@ -111,6 +111,11 @@ def test_the_page_holds_every_map_and_a_silent_failure_decides_the_verdict(tmp_p
     assert not stability.report([], tmp_path / "two", tmp_path / "maps.json", say=heard.append)
     page = (tmp_path / "two" / "stability.html").read_text()
     assert "all &lt; well" in page and "a run went on" in page
-    assert {p.name for p in (tmp_path / "two").iterdir()} == {"stability.html", "sound.png", "broken.png"}
+    assert {p.name for p in (tmp_path / "two").iterdir()} == {
+        "stability.html",
+        "stability.md",
+        "sound.png",
+        "broken.png",
+    }
     figures = json.loads((tmp_path / "maps.json").read_text())
     assert figures["sound"]["value"] == 2.0 and figures["broken"]["failed_in_silence"] == ["a run went on"]

@@ -120,5 +120,5 @@ def test_the_clinical_scene_stays_within_the_norms(there, monkeypatch, capsys):
     assert set(found["switches"]) == {"scene", "yielding globe", "thicker rim"}
     said = capsys.readouterr().out
     assert "would show IOPnct" in said and "numerical error" in said and "60 controls, Tian 2014" in said
-    assert {path.name for path in (there / "page").iterdir()} == {"clinic.html", "clinic.png"}
+    assert {path.name for path in (there / "page").iterdir()} == {"clinic.html", "clinic.md", "clinic.png"}
     assert "0.0278" in (there / "page" / "clinic.html").read_text()
