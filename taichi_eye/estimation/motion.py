@@ -9,7 +9,6 @@ they would cost ten times the run; the fine one is a run like any other, its gua
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -98,7 +97,7 @@ class Motion:
 
 def cheap(scene: Scene, rung: str = "cavity") -> Motion:
     """The scene's motion on a cheap rung, one of RUNS."""
-    spacing = _wall_mm(scene) / ELEMENTS[rung]
+    spacing = eye_of(scene).section.cornea_length / MM / ELEMENTS[rung]
     changes = {
         "numerics.fidelity": rung,
         "numerics.spacing_mm": spacing,
@@ -113,12 +112,6 @@ def cheap(scene: Scene, rung: str = "cavity") -> Motion:
     traces, (frame_ms, walls) = run.traces, run.wall_mm
     apex = np.array(traces["apex_displacement_mm"])
     return Motion(scene, np.array(traces["time_ms"]), apex, frame_ms, walls.copy(), str(stop) if stop else "")
-
-
-def _wall_mm(scene: Scene) -> float:
-    """Length of the cornea's meridian."""
-    cornea = scene.cornea
-    return cornea.radius_mm * math.asin(cornea.limbus_radius_mm / cornea.radius_mm)
 
 
 def _softer(scene: Scene) -> dict[str, float]:

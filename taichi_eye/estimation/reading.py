@@ -34,7 +34,6 @@ RADIUS_SD_MM = 0.05
 STILL_MM, DEEPEST_MM = 0.05, 2.0
 PUFF_MS, SAMPLES_LEAST, GAP_MS = (6.0, 24.0), 16, 3.0
 REST_MS_MOST, REST_MM = 3.0, 0.06
-RUN_COLUMNS = set(COLUMNS) - {"time_ms", "apex_displacement_mm"}
 
 
 @dataclass(frozen=True)
@@ -123,9 +122,8 @@ def _table(path: Path, scene: Scene, noise_um: float | None, age_years: float | 
             seen.append(of_row(row, interval, air, age, shown))
         return Found(seen, rows=rows, notes=tuple(left_out))
     measured = read_measured(path)
-    of_run = bool(RUN_COLUMNS & set(header))
     read = any(cell.startswith("apex_deflection") for cell in header)
-    whole = measured.column != DEFLECTION and not of_run
+    whole = measured.column != DEFLECTION
     time, values = measured.time_ms, measured.displacement_mm
     notes = (*measured.notes, *_checked(path, time, values))
     noise = None if noise_um is None else 1e-3 * noise_um

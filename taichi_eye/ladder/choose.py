@@ -125,8 +125,7 @@ class _Climb:
     def __init__(self, scene):
         self.scene, self.numerics = scene, scene.numerics
         self.allowed = (1.0 - MARGIN) * self.numerics.tolerance_percent
-        cornea = scene.cornea
-        self.length_mm = cornea.radius_mm * math.asin(cornea.limbus_radius_mm / cornea.radius_mm)
+        self.length_mm = eye_of(scene).section.cornea_length / MM
         self.coarsest_mm = coarsest_spacing_mm(scene.values())
         if self.numerics.error_bar:
             # a coarser twin must have its place, too

@@ -228,8 +228,7 @@ class Hand:
 
     def run(self, scene: Scene, elements: int, until_ms: float | None = None) -> Shown:
         """Run a scene on the cavity rung, to its end or up to the last frame at or before a time."""
-        cornea, camera = scene.cornea, scene.camera
-        length = cornea.radius_mm * math.asin(cornea.limbus_radius_mm / cornea.radius_mm)
+        camera, length = scene.camera, eye_of(scene).section.cornea_length / MM
         changes = {"numerics.fidelity": "cavity", "numerics.spacing_mm": length / elements, **CAMERA}
         changes |= {"numerics.refresh_travel": AUTO, "camera.frame_count": AUTO}  # frames up to the end
         if until_ms is not None and until_ms < scene.numerics.duration_ms:

@@ -10,12 +10,13 @@ from numpy.typing import ArrayLike
 
 from taichi_eye.errors import SceneError
 from taichi_eye.report.history import summarise
+from taichi_eye.report.traces import COLUMNS
 from taichi_eye.scene.table import read_cells, read_table
 
 DISPLACEMENT, DEFLECTION = "apex_displacement_mm", "deflection_mm"
 # columns of what `analyze` writes
 ANALYSED = "apex_deformation_mm", "apex_deflection_mm"
-OF_RUN = "puff_apex_kpa"  # beside the apex: the table is a traces.csv of a run
+OF_RUN = frozenset(COLUMNS) - {"time_ms", DISPLACEMENT}  # any of them beside the apex: a traces.csv of a run
 REACH_MM, SMALLEST_MM = 10.0, 0.002
 SECONDS_BELOW, MICROSECONDS_ABOVE = 0.5, 1000.0
 LATEST_START_MS = 45.0  # of a history that begins with the puff
@@ -87,7 +88,7 @@ def read_measured(path: str | Path) -> Measured:
             f"{path}: time_ms begins at {time[0]:g}; times count from the puff's start, which ends within 32 ms"
         )
     column = {ANALYSED[0]: DISPLACEMENT, ANALYSED[1]: DEFLECTION}.get(names[0], names[0])
-    if column == DISPLACEMENT and OF_RUN in read_cells(Path(path), lambda cell: cell == OF_RUN)[0]:
+    if column == DISPLACEMENT and OF_RUN & set(read_cells(Path(path), COLUMNS.__contains__)[0]):
         column = DEFLECTION
         notes.append(f"{names[0]} of a run, which is without the movement of the whole eye")
     return Measured(Path(path).name, column, time, values, tuple(notes))
