@@ -6,6 +6,7 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 from PIL import Image
+from processes import python
 
 import taichi_eye
 from taichi_eye.errors import OutputError
@@ -24,6 +25,12 @@ def names(folder):
 
 def film_frames(path):
     return imageio_ffmpeg.count_frames_and_secs(str(path))[0]
+
+
+def test_a_run_starts_without_what_only_its_end_or_a_film_that_is_read_needs():
+    slow = "scipy.signal scipy.stats scipy.interpolate scipy.ndimage matplotlib.figure meshio taichi_eye.analysis"
+    told = python("-c", f"import sys, taichi_eye.pipeline; print([n for n in {slow.split()} if n in sys.modules])")
+    assert told.stdout == "[]\n", told.stderr
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,7 @@ from dataclasses import dataclass, field
 from math import atan, cos, degrees, sin
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.ndimage import correlate1d
-from scipy.signal import savgol_filter
 
 from taichi_eye.analysis import optics
 from taichi_eye.analysis.edges import Edges
@@ -98,12 +96,18 @@ def _even_splines(r: np.ndarray, z: np.ndarray, at: np.ndarray) -> np.ndarray:
     out = np.full((len(r), len(at)), np.nan)
     outwards = (np.diff(r, axis=1) > 1e-9).all(axis=1)
     for row in np.flatnonzero(~outwards):
-        keep = np.concatenate([[True], np.diff(np.maximum.accumulate(r[row])) > 1e-9])
-        spline = CubicSpline(r[row, keep], z[row, keep], bc_type=((1, 0.0), "not-a-knot"))
-        out[row] = np.where(at <= r[row, keep][-1], spline(np.minimum(at, r[row, keep][-1])), np.nan)
+        out[row] = _spline(r[row], z[row], at)
     if outwards.any():
         out[outwards] = _splined(r[outwards], z[outwards], at)
     return out
+
+
+def _spline(r: np.ndarray, z: np.ndarray, at: np.ndarray) -> np.ndarray:
+    from scipy.interpolate import CubicSpline  # slow to load
+
+    keep = np.concatenate([[True], np.diff(np.maximum.accumulate(r)) > 1e-9])
+    spline, last = CubicSpline(r[keep], z[keep], bc_type=((1, 0.0), "not-a-knot")), r[keep][-1]
+    return np.where(at <= last, spline(np.minimum(at, last)), np.nan)
 
 
 def _splined(r: np.ndarray, z: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -238,8 +242,15 @@ def smooth(height: np.ndarray, over_mm: float = SMOOTH_MM) -> np.ndarray:
             part = height[np.ix_(alike, between)]
             if len(good) < len(between):
                 part = np.stack([np.interp(between, good, one[good]) for one in height[alike]])
-            out[np.ix_(alike, between)] = savgol_filter(part, length, 3, axis=1, mode="interp")
+            out[np.ix_(alike, between)] = _moving_fit(part, length, 3)
     return out
+
+
+def _moving_fit(values: np.ndarray, length: int, degree: int) -> np.ndarray:
+    """Values along the last axis, each from a polynomial through so many around it (Savitzky and Golay)."""
+    from scipy.signal import savgol_filter  # slow to load, and a run reads no film
+
+    return savgol_filter(values, length, degree, axis=-1, mode="interp")
 
 
 def seen_alike(seen: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -310,11 +321,11 @@ def _turned(x: np.ndarray, z: np.ndarray, turn: float, onto: np.ndarray) -> np.n
 
 def _axis(x: np.ndarray, displacement: np.ndarray) -> float | None:
     """Where the displacement of the deepest frames is most symmetric; None where nothing moved."""
-    depth = np.nanmax(savgol_filter(np.nan_to_num(displacement), 31, 2, axis=1), axis=1)
+    depth = np.nanmax(_moving_fit(np.nan_to_num(displacement), 31, 2), axis=1)
     deepest = np.argsort(depth)[-7:]
     mean = nanmean(displacement[deepest])
     good = np.isfinite(mean)
-    mean = savgol_filter(np.interp(x, x[good], mean[good]), 31, 2)
+    mean = _moving_fit(np.interp(x, x[good], mean[good]), 31, 2)
     mean[: np.argmax(good)] = np.nan
     mean[len(good) - np.argmax(good[::-1]) :] = np.nan
     top = np.nanmax(mean)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from taichi_eye.analysis.curves import Curves
 from taichi_eye.analysis.edges import Edges
 from taichi_eye.analysis.response import Histories, Response
 from taichi_eye.film import FilmWriter
 from taichi_eye.film.glyphs import glyph_atlas, stamp
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 ANTERIOR, POSTERIOR, AXIS = (80, 220, 255), (255, 176, 60), (110, 110, 130)
 SCALE = 2
@@ -82,6 +85,8 @@ def draw_page(
     name: str, curves: Curves, history: Histories, response: Response, truth: Histories | None = None
 ) -> Figure:
     """Deformation and deflection, velocity, curvature, thickness, curves at the events, and the deflection map."""
+    from matplotlib.figure import Figure  # slow to load
+
     figure = Figure(figsize=(12.5, 10.5), dpi=110, layout="constrained")
     axes = figure.subplots(3, 2)
     time = history.time_ms

@@ -11,12 +11,10 @@ from __future__ import annotations
 import ast
 import hashlib
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taichi_eye.analysis.error_bar import ErrorBar, error_bar
-from taichi_eye.analysis.simulated import Observed, observed
 from taichi_eye.errors import RunStopped
 from taichi_eye.eye.eye import eye_of
 from taichi_eye.ladder.rungs import simulation_of
@@ -28,6 +26,10 @@ from taichi_eye.report.traces import write_columns
 from taichi_eye.scene import Scene
 from taichi_eye.solver.batch import Outcome
 from taichi_eye.units import MM, MS
+
+if TYPE_CHECKING:
+    from taichi_eye.analysis.error_bar import ErrorBar
+    from taichi_eye.analysis.simulated import Observed
 
 KEPT = "time_ms", "apex_displacement_mm"
 FILE = "twin.npz"
@@ -85,6 +87,9 @@ class Bars(Observer):
             write_columns(recording.folder / "error_bar.csv", columns(bar))
 
     def _bar(self, twin: Twin, traces) -> ErrorBar:
+        # what reads films is slow to load
+        from taichi_eye.analysis.error_bar import error_bar
+
         rows, coarse = self.recording.walls.read(), self._coarse
         run = _observed(self.recording.scene, traces, rows["time_ms"], rows["wall"] / MM)
         other = {name: coarse[name] for name in KEPT}
@@ -102,6 +107,8 @@ def columns(bar: ErrorBar) -> dict[str, np.ndarray]:
 
 
 def _observed(scene: Scene, traces, frame_ms: np.ndarray, walls_mm: np.ndarray) -> Observed:
+    from taichi_eye.analysis.simulated import observed
+
     eye = eye_of(scene)
     places = walls_mm.copy()
     if len(places):

@@ -13,12 +13,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taichi_eye import backend
-from taichi_eye.analysis.error_bar import ErrorBar
 from taichi_eye.eye.jet import central_curvature
 from taichi_eye.film import FilmView, FrameState
 from taichi_eye.ladder.rungs import needs_cloud
@@ -28,6 +27,9 @@ from taichi_eye.report.history import History, summarise
 from taichi_eye.scene import Scene
 from taichi_eye.solver.workspace import reuse
 from taichi_eye.units import MM, MS
+
+if TYPE_CHECKING:
+    from taichi_eye.analysis.error_bar import ErrorBar
 
 
 @dataclass

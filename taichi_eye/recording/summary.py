@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taichi_eye.analysis.error_bar import ErrorBar
 from taichi_eye.provenance import provenance
 from taichi_eye.recording.observer import Observer
 from taichi_eye.report.compare import differences
@@ -15,6 +15,9 @@ from taichi_eye.report.folder import write_text
 from taichi_eye.report.history import summarise
 from taichi_eye.solver.doubts import doubts
 from taichi_eye.units import MM, MS
+
+if TYPE_CHECKING:
+    from taichi_eye.analysis.error_bar import ErrorBar
 
 
 class Summary(Observer):

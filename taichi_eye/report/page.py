@@ -1,16 +1,21 @@
 """One self-contained HTML page per command: tables, figures as PNG inside it, and plain words."""
 
+from __future__ import annotations
+
 import base64
 import html
 import io
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from taichi_eye.provenance import provenance, versions
 from taichi_eye.report.folder import write_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 COLOURS = ("#14539a", "#c9641a", "#3d8b57", "#8c3a8c", "#a88a1a", "#4c5560", "#b03a48", "#2a9d9d")
 STYLE = """body{font:15px/1.5 system-ui,sans-serif;color:#22262b;max-width:75rem;margin:2rem auto;padding:0 1rem}
@@ -24,6 +29,8 @@ img{max-width:100%;margin:.5rem 0}figure{display:inline-block;margin:.5rem}"""
 def draw(figure: dict) -> Figure:
     """A line plot: title, x, y, lines [(label, x, y)]; log (both axes), slope (a guide), points (even lines are
     points)."""
+    from matplotlib.figure import Figure  # slow to load
+
     canvas = Figure(figsize=(6.4, 4.3), dpi=110, layout="constrained")
     axes = canvas.subplots()
     for k, (label, x, y) in enumerate(figure["lines"]):
