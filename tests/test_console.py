@@ -8,7 +8,13 @@ from processes import python
 from taichi_eye import cli, console
 
 FULL = "/dev/full"
-FRAME = ("numerics.fidelity=cavity", "numerics.duration_ms=0.3", "camera.frame_count=1", "camera.optics=plain")
+FRAME = (
+    "numerics.fidelity=cavity",
+    "numerics.duration_ms=0.3",
+    "camera.view=scheimpflug",
+    "camera.frame_count=1",
+    "camera.optics=plain",
+)
 FILES = {"film.mp4", "apex.png", "sheet.png", "traces.csv", "wall.npz", "summary.json", "scene.toml", "report.html"}
 
 

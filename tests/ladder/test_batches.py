@@ -62,8 +62,19 @@ def test_every_rung_gives_what_it_gives_alone_in_order(scenes, alone, monkeypatc
     assert_same(run_batch(scenes), scenes, alone)
 
 
+@pytest.fixture(scope="module")
+def samples(scenes, tmp_path_factory):
+    """The samples of one call, two eyes at once."""
+    looks = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(batches, "AT_ONCE", 2 * clouds_of(scenes)[0].count + 1)
+        patch.setattr(batches._Kept, "hold", lambda self, *given: looks.append(1))
+        run_batch(scenes, keep=tmp_path_factory.mktemp("whole") / "kept.npz")
+    return len(looks)
+
+
 @pytest.mark.parametrize("after", [3, 500])
-def test_a_call_that_was_cut_off_goes_on_to_the_same_bits(after, scenes, alone, monkeypatch, tmp_path):
+def test_a_call_that_was_cut_off_goes_on_to_the_same_bits(after, scenes, alone, samples, monkeypatch, tmp_path):
     monkeypatch.setattr(batches, "AT_ONCE", 2 * clouds_of(scenes)[0].count + 1)
     monkeypatch.setattr(batches, "KEEP_S", 0.0)
     kept, looks, hold = tmp_path / "kept.npz", [], batches._Kept.hold
@@ -80,11 +91,8 @@ def test_a_call_that_was_cut_off_goes_on_to_the_same_bits(after, scenes, alone, 
     monkeypatch.setattr(batches._Kept, "hold", lambda self, *given: looks.append(1))
     assert_same(run_batch(scenes, keep=kept), scenes, alone)
     assert not kept.exists() and not list(tmp_path.iterdir())
-    # nothing is done twice: the samples of all calls are those of one
-    monkeypatch.setattr(batches._Kept, "hold", lambda self, *given: whole.append(1))
-    whole = []
-    run_batch(scenes, keep=tmp_path / "other.npz")
-    assert len(looks) == len(whole)
+    # nothing is done twice: the samples of both calls are those of one
+    assert len(looks) == samples
 
 
 def test_a_file_of_other_scenes_or_a_damaged_one_is_refused(scenes, monkeypatch, tmp_path):
