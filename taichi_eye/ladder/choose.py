@@ -14,9 +14,10 @@ pass; where a pilot is already the run that was asked for, it is the run. All in
                 between two maps (7 to 23 % on sixteen scenes). Where that would ask for more maps: thin layer with 8
                 elements refreshed at 1 spacing against 0.5, taken AGED times, as it came out down to half of what it
                 was (on shells).
-    map's grid  of `added_mass`, and as much of `mfpm`: `MAP_SHARE` of the inertia at 0.4 mm, as h^2. Measured on 10 ms
-                puffs against maps on fine clouds: 5 % of the inertia with the eye's own aqueous humour, 18 % with one
-                three times as dense.
+    map's grid  of `added_mass`, and as much of `mfpm`: `MAP_SHARE` of the inertia at 0.4 mm, as h^2. On the scenes of
+                `taichi-eye check choices`, maps made often, it is what the error by space leaves of the true error:
+                nothing to 4 % of the inertia where that is small, 6 % under a 10 ms puff, 9 % under one with an aqueous
+                humour three times as dense.
     viscosity   of every rung but `mfpm`: what the flow of the thin layer would lose to viscosity, over the puff's work.
     sound speed of `mfpm`: cavity that yields as the liquid does at c = 40 m/s against one that does not, which goes as
                 c^-2 with the sound speed of the mean pressure, up to STIFFER times that of the waves; and of the waves
@@ -52,7 +53,9 @@ AGE_SHARE = 0.25  # of the inertia, that flow maps get wrong with each spacing o
 MARGIN = 0.15  # share of the tolerance that the estimates leave free
 # seconds: of a flow map at 0.2 mm, of mfpm a node and step and its samples per ms, of a uniform rung at 0.4 mm per ms
 MAP_S, NODE_STEP_S, SAMPLES_S, UNIFORM_S = 5e-3, 9e-8, 0.02, 1.5e-4
-MAP_SHARE = 0.12  # of the inertia that a flow map at COARSEST_MM gets wrong
+MAP_ORDER = 2.4  # a flow map's time goes as this power of 1 / spacing
+MAP_SHARE = 0.08  # of the inertia that a flow map at COARSEST_MM gets wrong
+RAREST, OFTENEST = 0.5, 0.02  # spacings of travel between two flow maps, as offered
 COARSEST_MM, FINEST_MM = 0.4, 0.05  # spacings offered where nodes are packed, and the finest at all
 PILOT_C = 40.0  # m/s
 STIFFER, STIFFEST = (
@@ -227,13 +230,13 @@ class _Climb:
         left = self.allowed - self.viscous
         space, grid = self.space, MAP_SHARE * self.inertia * (self.size / COARSEST_MM) ** 2
         self.space += grid  # as mfpm has it
-        spacing = min(self._finest(self.space, self.size, 0.75 * left), COARSEST_MM, self.coarsest_mm)
         age = AGE_SHARE * self.inertia  # per spacing of travel at `size`
-        if 0.5 * age * spacing / size > 0.25 * left:
-            # maps would have to be made oftener: worth a closer look
+        coarsest = min(self._finest(self.space, self.size, left), COARSEST_MM, self.coarsest_mm)
+        if RAREST * age * coarsest / size > 0.25 * left:
+            # as much as that is worth a closer look
             rarely = self._pilot(ThinLayer, elements, {"numerics.refresh_travel": 1.0})
             age = min(age, AGED * self._apart(coarse, rarely) / 0.5)
-        travel = min(0.5, float(0.25 * left / max(age * spacing / size, 1e-12))) if left > 0.0 else 0.0
+        spacing, travel = cheapest_maps(self.space / self.size**2, age / size, left, coarsest)
         refined = (spacing / self.size) ** 2
         self.choice.estimates["added_mass"] = errors = {
             "space": space * refined,
@@ -241,10 +244,10 @@ class _Climb:
             "map's age": age * travel * spacing / size,
             "viscosity": self.viscous,
         }
-        if left <= 0.0 or spacing < FINEST_MM or travel < 0.02:
+        if left <= 0.0 or spacing < FINEST_MM or travel < OFTENEST:
             return False
         travelled = float(np.abs(np.diff(fine.traces["apex_displacement_mm"])).sum())
-        maps_s = MAP_S * (0.2 / spacing) ** 2.4 * travelled / (travel * spacing)
+        maps_s = MAP_S * (0.2 / spacing) ** MAP_ORDER * travelled / (travel * spacing)
         if maps_s > self.numerics.duration_ms * SAMPLES_S:
             # mfpm takes no less than that
             other_s, *_, other, by_sound = self._mfpm_setting
@@ -325,6 +328,23 @@ class _Climb:
         if self.slow:
             said.append(self.slow)
         return ", ".join(said) or "cavity leaves out inertia that counts"
+
+
+def cheapest_maps(space: float, age: float, left: float, coarsest: float) -> tuple[float, float]:
+    """Spacing h [mm] and travel t [spacings] of the flow maps that are made soonest while space h^2 + age t h <= left.
+
+    space [%/mm^2], age [%/mm]; h is at most `coarsest`, t at most RAREST. A map takes h^-MAP_ORDER, and there are as
+    many as 1 / (t h): with the errors at their limit, space takes MAP_ORDER / (MAP_ORDER + 2) of it, or what maps made
+    at RAREST leave.
+    """
+    if left <= 0.0:
+        return 0.0, 0.0
+    spacing = math.sqrt(MAP_ORDER / (MAP_ORDER + 2.0) * left / max(space, 1e-12))
+    if left - space * spacing**2 > RAREST * age * spacing:
+        linear = 0.5 * RAREST * age
+        spacing = left / (linear + math.sqrt(linear**2 + space * left))
+    spacing = min(spacing, coarsest)
+    return spacing, min(RAREST, (left - space * spacing**2) / max(age * spacing, 1e-12))
 
 
 def _mean_speed(c: float) -> float:

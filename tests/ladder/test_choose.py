@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taichi_eye.ladder.choose import choose, viscous_share
+from taichi_eye.ladder.choose import MAP_ORDER, RAREST, cheapest_maps, choose, viscous_share
 from taichi_eye.ladder.misfit import misfit
 from taichi_eye.ladder.rungs import simulation_of, with_numerics
 from taichi_eye.rungs import RUNGS
@@ -104,3 +104,19 @@ def test_a_shell_that_holds_is_not_refused_for_the_lobes_of_a_coarse_pilot():
     assert not choice.refused and choice.scene.numerics.fidelity == "added_mass"
     run = simulation_of(choice.scene)
     assert run.judges_folding and run.run()["time_ms"][-1] > 31.9
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_flow_maps_are_set_where_they_are_made_soonest(seed):
+    random = np.random.default_rng(seed)
+    space, age, left, coarsest = random.uniform(1.0, 40.0), random.uniform(0.1, 12.0), random.uniform(0.1, 3.0), 0.4
+    spacing, travel = cheapest_maps(space, age, left, coarsest)
+    cost = lambda h, t: h**-MAP_ORDER / (t * h)
+    error = lambda h, t: space * h**2 + age * t * h
+    assert error(spacing, travel) <= left * (1.0 + 1e-12) and spacing <= coarsest and travel <= RAREST
+    h, t = np.meshgrid(np.geomspace(0.01, coarsest, 600), np.geomspace(1e-3, RAREST, 600))
+    assert cost(spacing, travel) <= cost(h, t)[error(h, t) <= left].min() * (1.0 + 1e-9)
+
+
+def test_no_error_left_makes_no_flow_maps():
+    assert cheapest_maps(1.0, 1.0, -0.1, 0.4) == (0.0, 0.0)
