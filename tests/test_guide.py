@@ -193,6 +193,7 @@ def test_headline_figures_are_those_that_the_commands_ask():
     spelled = {12: "twelve", 16: "sixteen"}
     assert f"{spelled[len(verify.PARTS)]} problems" in trust
     assert f"within {default.ERROR:g} % of {default.PEAK_MM:g} mm" in trust
+    assert f"{default.LIMITS_ERROR:g} % extrapolated" in trust
     assert "{:g}, {:g} and {:g} %".format(*choices.TOLERANCES) in trust
     assert f"{spelled[len(choices.PARTS)]} scenes" in trust
     assert "amplitude within {:g} {}".format(*limits["deformation_amplitude_mm"]) in trust

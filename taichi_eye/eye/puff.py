@@ -73,7 +73,8 @@ class Puff:
         """Integral [Pa s] of the pressure at the apex between each two of the times `edges` [..., n + 1] (s)."""
         edges = np.asarray(edges, dtype=float)
         if self.samples is not None or self.time_course != "corvis":
-            return np.diff(self._impulse(edges))
+            passed = self._impulse(edges)
+            return passed[..., 1:] - passed[..., :-1]
         # it lasts milliseconds: over steps, Simpson's rule is right to 1e-8 even across its cusp
         start, end = edges[..., :-1], edges[..., 1:]
         middle = self.pressure_at_apex(0.5 * (start + end))
@@ -83,7 +84,7 @@ class Puff:
         """Integral [Pa s] of the pressure at the apex up to t [s], from wherever."""
         if self.samples is None:
             steep = np.sqrt(self.spread_b)
-            passed = _erf(steep * (t / self.duration - 0.5))
+            passed = _erf(steep * (t / self.duration - 0.5)).astype(float)
             return self.peak * self.duration * (0.5 * math.sqrt(math.pi) / steep) * passed
         times, pressures = self.samples
         gone = np.append(0.0, np.cumsum(0.5 * np.diff(times) * (pressures[1:] + pressures[:-1])))
@@ -108,7 +109,7 @@ class Puff:
         return self.radial_rate * narrow**2
 
 
-_erf = np.vectorize(math.erf, otypes=[float])  # scipy's takes a tenth of a second to load
+_erf = np.frompyfunc(math.erf, 1, 1)  # scipy's takes a tenth of a second to load
 
 
 def read_puff(file: str | Path) -> tuple[np.ndarray, np.ndarray]:

@@ -202,7 +202,7 @@ class Batch:
         A load stands for half a step to either side. The first also takes what the last one before stood for too long
         or too short, its step having had another length, and at the start of a run, at rest, the half step before it.
         """
-        edges = np.tile(np.arange(steps + 1.0), (len(self.scenes), 1))
+        edges = np.zeros((len(self.scenes), steps + 1))
         start, before = self.sample * self._span[eyes], self._dt[eyes]
         edges[eyes] = start[:, None] + dt[:, None] * (np.arange(steps + 1) + 0.5)
         edges[eyes, 0] = start + 0.5 * before
