@@ -234,6 +234,12 @@ class Guard:
             return stop.with_traceback(None)
         return None
 
+    def left_model(self, eye: int, row: np.ndarray, lobes: int | None) -> bool:
+        """Whether a state is none that any rung is made for: a cornea that is slack, folded, turned over or at the
+        chamber's back."""
+        slack = not self._shells[eye] and row[at.least_stress] <= 0.0
+        return lobes is not None or bool(slack or row[at.chamber_gap] < CLOSED or row[at.steepest_slant] > OVERTURNED)
+
 
 def gain(rows: np.ndarray) -> np.ndarray:
     """Energy [J] that is stored beyond the work of the puff, of rows of figures."""

@@ -25,7 +25,7 @@ from taichi_eye.solver.case import case_of
 from taichi_eye.solver.cornea import Cornea
 from taichi_eye.solver.figures import at, at_rest, traces_of
 from taichi_eye.solver.folding import Folding
-from taichi_eye.solver.guards import CLOSED, OVERTURNED, Advice, Guard, energy_floor
+from taichi_eye.solver.guards import Advice, Guard, energy_floor
 from taichi_eye.solver.motion import Motion
 from taichi_eye.solver.potential import LayerFlow, PotentialFlow
 from taichi_eye.solver.rings import ring_areas
@@ -238,13 +238,7 @@ class Reduced:
                 lobes=lobes,
             )
             if self.stop is not None:
-                row = rows[number]
-                self.out_of_validity = lobes is not None or bool(
-                    row[at.chamber_gap] < CLOSED
-                    or row[at.steepest_slant] > OVERTURNED
-                    or not self.eye.cornea.is_shell
-                    and row[at.least_stress] <= 0.0
-                )
+                self.out_of_validity = self._guard.left_model(0, rows[number], lobes)
                 self.reached = sample - 1
                 return
 
