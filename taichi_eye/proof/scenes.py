@@ -144,7 +144,8 @@ def runs(stage, count: int = RUNS, seed: int = SEED) -> tuple[list[Row], list[Fi
 
 def _ended(scene: Scene) -> tuple[str, float | None]:
     """How a scene's run ends, and the most memory that it held [bytes], None where it is not told."""
-    with tempfile.TemporaryDirectory() as folder:
+    # what encodes the film of a run that was ended writes for a moment longer
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         path = Path(folder) / "scene.toml"
         path.write_text(dump_scene(scene), encoding="utf-8")
         words = ["run", str(path), "--out", str(Path(folder) / "out"), "--quiet", "--threads", "1"]
