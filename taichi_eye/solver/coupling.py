@@ -185,10 +185,10 @@ class Coupling:
         work = 0.0
         for i in range(start, end):
             work += self._work_of_air(eye, i, puff, dt)
-        work, relaxed, _, _ = self.team.sum(eye, lane, work, relaxed, 0.0, 0.0)
+        sums = self.team.sum(eye, lane, ti.Vector([work, relaxed]))
         if lane == 0:
-            self.cornea.puff_work[eye] += work
-            self.cornea.relaxed_work[eye] = relaxed
+            self.cornea.puff_work[eye] += sums[0]
+            self.cornea.relaxed_work[eye] = sums[1]
 
     @ti.func
     def _match_wall(self, eye, lane, dt, volume):
@@ -212,9 +212,9 @@ class Coupling:
             if self.aqueous.sealed[eye] == 0:
                 for i in range(start, end):
                     swept += self.ring[i].dot(self.wall_velocity[i])
-                swept, _, _, _ = self.team.sum(eye, lane, swept, 0.0, 0.0, 0.0)
+                sums = self.team.sum(eye, lane, ti.Vector([swept, 0.0]))
                 if lane == 0:
-                    self.aqueous.outflow[eye] = -swept / volume
+                    self.aqueous.outflow[eye] = -sums[0] / volume
             # a node's divergence asks for the velocities of its neighbours
             self.team.meet(eye)
             for i in range(start, end):
@@ -239,8 +239,8 @@ class Coupling:
                     broken = 1.0
                 self.miss[i] = miss
             # from here on all lanes know the same, and go the same way
-            sums, tops = self.team.combine(
-                eye, lane, ti.Vector([square, product, broken, 0.0]), ti.Vector([residual, top])
+            sums, tops, _ = self.team.combine(
+                eye, lane, ti.Vector([square, product, broken]), ti.Vector([residual, top]), ti.Vector([0, 0])
             )
             square, product, residual = sums[0], sums[1], tops[0] / tops[1]
             if sums[2] > 0.0:
@@ -288,11 +288,11 @@ class Coupling:
         pressure, weight: the lane's share of `Aqueous.pressure_sums`.
         """
         enclosed = self.cornea.enclosed_volume(eye, self.cornea.place, self.team, lane)
-        enclosed, pressure, weight, _ = self.team.sum(eye, lane, enclosed, pressure, weight, 0.0)
-        volume = self.volume_over(eye, enclosed)
+        sums = self.team.sum(eye, lane, ti.Vector([enclosed, pressure, weight]))
+        volume = self.volume_over(eye, sums[0])
         if lane == 0:
             # the lanes meet before anyone asks for it
-            self.aqueous.pressure_shift[eye] = self.aqueous.add_pressure(eye, volume, dt, pressure / weight)
+            self.aqueous.pressure_shift[eye] = self.aqueous.add_pressure(eye, volume, dt, sums[1] / sums[2])
         self._match_wall(eye, lane, dt, volume)
         start, end = self.team.share(self.cornea.first[eye], self.cornea.last[eye] + 1, lane)
         for i in range(start, end):
@@ -314,7 +314,7 @@ class Coupling:
                     self.aqueous.kick(eye, i, kick_dt, self.cornea.velocity)
                 # step 1 reads and writes nothing of this; all meet in it
                 self.move_wall(eye, lane, float(plan[k, 4 + step]), dt)
-                pressure, weight = self.aqueous.pressure_sums(eye, lane, self.team.lanes)
+                pressure, weight = self.aqueous.pressure_sums(eye, lane, self.team.size())
                 self.match_wall(eye, lane, dt, pressure, weight)
                 # the last meeting has been before the wall's last guess, of which nothing is read here
                 for i in range(start, end):

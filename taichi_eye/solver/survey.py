@@ -124,20 +124,42 @@ class Survey:
         stretch = self.cornea.elastic_energy(eye, team, lane)
         motion = self.cornea.kinetic_energy(eye, team, lane)
         enclosed = self.cornea.enclosed_volume(eye, self.cornea.place, team, lane)
-        # what the lanes found, put together
-        kinetic, elastic, weight, viscous = team.sum(eye, lane, kinetic, elastic, weight, viscous)
-        pressure_volume, numerical, carried, stretch = team.sum(eye, lane, pressure_volume, numerical, carried, stretch)
-        motion, enclosed, _, _ = team.sum(eye, lane, motion, enclosed, 0.0, 0.0)
-        gap, _, step, _ = team.least(eye, lane, gap, first, step, first)
-        flattest, flat, least, slackest = team.least(eye, lane, flattest, flat, least, slackest)
-        room, near, _, _ = team.least(eye, lane, room, near, 0.0, first)
-        worst, ill, slant, slanted = team.most(eye, lane, worst, ill, slant, slanted)
-        heaviest, _, travel, _ = team.most(eye, lane, heaviest, first, travel, first)
-        in_plane, _, transverse, _ = team.most(eye, lane, in_plane, first, transverse, first)
-        found, bad, found_wall, bad_wall = team.most(
-            eye, lane, ti.select(bad >= 0, 1.0, 0.0), bad, ti.select(bad_wall >= 0, 1.0, 0.0), bad_wall
-        )
-        if found == 0.0:
+        broken = ti.Vector([0.0, 0.0])
+        if bad >= 0:
+            broken[0] = 1.0
+        if bad_wall >= 0:
+            broken[1] = 1.0
+        if ti.static(team.lanes > 1):
+            # of the lanes, whose maxima forget NaN
+            if ti.math.isnan(worst):
+                worst = ti.math.inf
+            sums, tops, places = team.combine(
+                eye,
+                lane,
+                ti.Vector(
+                    [kinetic, elastic, weight, viscous, pressure_volume, numerical, carried, stretch, motion, enclosed]
+                ),
+                ti.Vector(
+                    [worst, -flattest, -least, slant, -room, broken[0], broken[1]]
+                    + [heaviest, -gap, in_plane, transverse, -step, travel]
+                ),
+                ti.Vector([ill, flat, slackest, slanted, near, bad, bad_wall] + [first] * 6),
+            )
+            kinetic, elastic, weight, viscous, pressure_volume = sums[0], sums[1], sums[2], sums[3], sums[4]
+            numerical, carried, stretch, motion, enclosed = sums[5], sums[6], sums[7], sums[8], sums[9]
+            worst, flattest, least, slant, room = tops[0], -tops[1], -tops[2], tops[3], -tops[4]
+            heaviest, gap, in_plane, transverse, step, travel = (
+                tops[7],
+                -tops[8],
+                tops[9],
+                tops[10],
+                -tops[11],
+                tops[12],
+            )
+            ill, flat, slackest, slanted, near = places[0], places[1], places[2], places[3], places[4]
+            bad, bad_wall = places[5], places[6]
+            broken[0] = tops[5]
+        if broken[0] == 0.0:
             bad = bad_wall
         if lane == 0:
             volume = self.coupling.volume_over(eye, enclosed)

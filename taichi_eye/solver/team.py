@@ -23,6 +23,7 @@ from taichi_eye.lang import ti
 # threads of a block: the coupled step's passes take some 200 registers a thread, of which an H100's multiprocessor has
 # 65 536, and the language asks for two blocks to each
 LANES = 128
+COLUMNS = 24  # numbers that a team may put together at once
 ONE_THREAD = 512  # iterations of a parallel loop, at the least, that the language hands to a CPU thread at once
 
 
@@ -39,10 +40,18 @@ class Team:
         self.block = lanes if lanes > 1 else None  # of threads, where a loop has to name one
         if lanes > 1:
             self.group = math.isqrt(lanes - 1) + 1  # lanes whose shares are added first
-            self.groups = -(-lanes // self.group)
-            shares = lambda size, count: ti.Vector.field(size, real(), (eyes, count))
-            self.sums, self.group_sums = shares(4, lanes), shares(4, self.groups)
-            self.tops, self.group_tops = shares(2, lanes), shares(2, self.groups)
+            groups = -(-lanes // self.group)
+            self.shares, self.group_shares, self.whole = (
+                ti.field(real(), (eyes, *shape)) for shape in ((lanes, COLUMNS), (COLUMNS, groups), (COLUMNS,))
+            )
+            self.places, self.group_places, self.whole_place = (
+                ti.field(ti.i32, field.shape) for field in (self.shares, self.group_shares, self.whole)
+            )
+
+    @ti.func
+    def size(self):
+        """How many lanes there are."""
+        return self.lanes
 
     @ti.func
     def meet(self, eye):
@@ -71,69 +80,75 @@ class Team:
         """A lane's stretch, start and end, of the indices from `first` to `end`."""
         start, stop = first, end
         if ti.static(self.lanes > 1):
-            start = first + (end - first) * lane // self.lanes
-            stop = first + (end - first) * (lane + 1) // self.lanes
+            start = first + (end - first) * lane // self.size()
+            stop = first + (end - first) * (lane + 1) // self.size()
         return start, stop
 
     @ti.func
-    def combine(self, eye, lane, sums, tops):
-        """The sums, and the largest, over the lanes of an eye of what each brings: four and two numbers.
-
-        All meet twice. A maximum forgets NaN, a sum does not.
-        """
-        total, top = sums, tops
+    def sum(self, eye, lane, numbers):
+        """The sums over the lanes of an eye of a vector of numbers that each brings. All meet."""
+        total = numbers
         if ti.static(self.lanes > 1):
-            self.sums[eye, lane], self.tops[eye, lane] = sums, tops
-            self.meet(eye)
-            # by the time that shares are written again, all have met once more: who reads them has done so
-            if lane < self.groups:
-                first = lane * self.group
-                total, top = self.sums[eye, first], self.tops[eye, first]
-                for k in range(first + 1, ti.min(first + self.group, self.lanes)):
-                    total += self.sums[eye, k]
-                    top = ti.max(top, self.tops[eye, k])
-                self.group_sums[eye, lane], self.group_tops[eye, lane] = total, top
-            self.meet(eye)
-            total, top = self.group_sums[eye, 0], self.group_tops[eye, 0]
-            for k in range(1, self.groups):
-                total += self.group_sums[eye, k]
-                top = ti.max(top, self.group_tops[eye, k])
-        return total, top
+            for c in ti.static(range(numbers.n)):
+                self.shares[eye, lane, c] = numbers[c]
+            self._put_together(eye, lane, numbers.n, numbers.n)
+            for c in ti.static(range(numbers.n)):
+                total[c] = self.whole[eye, c]
+        return total
 
     @ti.func
-    def sum(self, eye, lane, a, b, c, d):
-        """The sums over the lanes of an eye of four numbers that each brings."""
-        total, unused = self.combine(eye, lane, ti.Vector([a, b, c, d]), ti.Vector([0.0, 0.0]))
-        return total[0], total[1], total[2], total[3]
+    def combine(self, eye, lane, numbers, tops, places):
+        """Sums as above; of a second vector the largest, and the first lane's place that has it. All meet.
 
-    @ti.func
-    def most(self, eye, lane, a, at_a, b, at_b):
-        """The largest over the lanes of an eye of two values that each brings, each with the first place where it is.
-
-        NaN counts as infinite.
+        A maximum forgets NaN, a sum does not.
         """
-        most_a, most_b, where_a, where_b = a, b, at_a, at_b
+        total, top, place = numbers, tops, places
         if ti.static(self.lanes > 1):
-            none = ti.Vector([0.0, 0.0, 0.0, 0.0])
-            own = ti.Vector([a, b])
-            for c in ti.static(range(2)):
-                if ti.math.isnan(own[c]):
-                    own[c] = ti.math.inf
-            unused, top = self.combine(eye, lane, none, own)
-            place = ti.Vector([-ti.math.inf, -ti.math.inf])
-            if own[0] == top[0]:
-                place[0] = -at_a
-            if own[1] == top[1]:
-                place[1] = -at_b
-            unused, place = self.combine(eye, lane, none, place)
-            most_a, most_b, where_a, where_b = top[0], top[1], int(-place[0]), int(-place[1])
-        return most_a, where_a, most_b, where_b
+            for c in ti.static(range(numbers.n)):
+                self.shares[eye, lane, c] = numbers[c]
+            for c in ti.static(range(tops.n)):
+                self.shares[eye, lane, numbers.n + c] = tops[c]
+                self.places[eye, lane, numbers.n + c] = places[c]
+            self._put_together(eye, lane, numbers.n, numbers.n + tops.n)
+            for c in ti.static(range(numbers.n)):
+                total[c] = self.whole[eye, c]
+            for c in ti.static(range(tops.n)):
+                top[c] = self.whole[eye, numbers.n + c]
+                place[c] = self.whole_place[eye, numbers.n + c]
+        return total, top, place
 
     @ti.func
-    def least(self, eye, lane, a, at_a, b, at_b):
-        """The same of the smallest."""
-        most_a, where_a, most_b, where_b = self.most(eye, lane, -a, at_a, -b, at_b)
-        return -most_a, where_a, -most_b, where_b
+    def _put_together(self, eye, lane, summed: ti.template(), columns: ti.template()):
+        """So many columns of the lanes' shares into one number each: the first ones summed, of the others the largest.
+
+        First groups of lanes, then the groups, each column of each by one lane. What is read here is written again
+        after another meeting only. Few accesses in the code: the language takes time for each beside every other one.
+        """
+        self.meet(eye)
+        groups = (self.size() - 1) // self.group + 1
+        for m in range((columns * groups - lane + self.size() - 1) // self.size()):
+            c, g = (m * self.size() + lane) % columns, (m * self.size() + lane) // columns
+            first = g * self.group
+            value, place = self.shares[eye, first, c], self.places[eye, first, c]
+            for k in range(first + 1, ti.min(first + self.group, self.size())):
+                share = self.shares[eye, k, c]
+                if c < summed:
+                    value += share
+                elif share > value:
+                    value, place = share, self.places[eye, k, c]
+            self.group_shares[eye, c, g], self.group_places[eye, c, g] = value, place
+        self.meet(eye)
+        for m in range((columns - lane + self.size() - 1) // self.size()):
+            c = m * self.size() + lane
+            value, place = self.group_shares[eye, c, 0], self.group_places[eye, c, 0]
+            for g in range(1, groups):
+                share = self.group_shares[eye, c, g]
+                if c < summed:
+                    value += share
+                elif share > value:
+                    value, place = share, self.group_places[eye, c, g]
+            self.whole[eye, c], self.whole_place[eye, c] = value, place
+        self.meet(eye)
 
 
 ALONE = Team()
