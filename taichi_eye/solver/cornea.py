@@ -380,8 +380,8 @@ class Cornea:
 
     @ti.func
     def _stretch(self, eye, k, kept, gain):
-        # edge tension (N, along the edge, pulling node k outwards) and hoop force (N) of element k; the work [J] against
-        # its overstress
+        # edge tension (N, along the edge, pulling node k outwards) and hoop force (N) of element k; the work [J]
+        # against its overstress
         work = 0.0
         strain = self.strain_of(k)
         s1, s2 = self.law.stress(strain[0], strain[1], self.prestrain[k], self.material[eye])

@@ -43,10 +43,10 @@ from taichi_eye.solver.figures import NOT_CONVERGED, RUNNING
 from taichi_eye.solver.team import team_for
 
 SERIAL_NODES = 4000  # up to here one thread running the whole time loop beats launching each loop on all of them
-# On a GPU, unmeasured: a block of threads takes some 4 us for each pass over as many nodes as it has threads, launches of
-# a step's passes some 60 us besides the gathers, which take 38 us up to some thousand nodes. So up to TEAM_NODES a
-# block is faster, and from TEAM_EYES eyes on, which keep a good third of the device's multiprocessors busy, it is so at
-# any size.
+# On a GPU, estimated and not measured: a block of threads takes some 4 us for each pass over as many nodes as it has
+# threads; a step's launches take some 60 us besides their gathers, which take 38 us up to some thousand nodes. So a
+# block is faster up to TEAM_NODES, and from TEAM_EYES eyes on, which keep a good third of an H100's multiprocessors
+# busy, at any size.
 TEAM_NODES, TEAM_EYES = 1000, 48
 PARTS = 1024  # threads that sum the mean pressure of an eye on a GPU, beside those that kick its nodes
 # what rounding leaves, by precision: membrane speeds [m/s] below which the wall counts as at rest in the coupling

@@ -14,8 +14,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from taichi_eye.eye import jet
-from taichi_eye.eye.laws.law import plain
 from taichi_eye.eye.laws import LAWS
+from taichi_eye.eye.laws.law import plain
 from taichi_eye.mfpm import neighbours, operators
 from taichi_eye.solver import aqueous, cornea, coupling, globe, motion, survey, team
 from taichi_eye.solver.workspace import FEWEST
@@ -135,7 +135,9 @@ class Plain:
         elif hasattr(own, "to_numpy") or type(own).__module__.startswith("taichi_eye."):
             if id(own) not in self._made:
                 self._made[id(own)] = (
-                    self._fetch(lambda: Values(own)) if hasattr(own, "to_numpy") else Plain(own, self._made, self._fetch)
+                    self._fetch(lambda: Values(own))
+                    if hasattr(own, "to_numpy")
+                    else Plain(own, self._made, self._fetch)
                 )
             value = self._made[id(own)]
         else:
@@ -160,15 +162,13 @@ class Turns:
         self._here = threading.local()
         self._back = threading.Semaphore(0)
         self._go = [threading.Semaphore(0) for _ in range(lanes)]
-        self._met, self._failed, self._wanted = [False] * lanes, None, None
+        self._failed, self._wanted = None, None
 
     def meet(self, eye):
-        lane = self._here.lane
-        self._met[lane] = True
         self._back.release()
-        self._go[lane].acquire()
+        self._go[self._here.lane].acquire()
         if self._failed:
-            raise PartedWays
+            raise self._failed
 
     def fetch(self, call):
         """What a call gives on the main thread, for a lane."""
@@ -196,28 +196,21 @@ class Turns:
             self._go[lane].acquire()
             try:
                 work(lane)
-            except PartedWays:
-                pass
             except BaseException as error:
-                self._failed = error
+                self._failed = self._failed or error
+            going.discard(lane)
             self._back.release()
 
-        threads = [threading.Thread(target=body, args=(lane,), daemon=True) for lane in range(self.lanes)]
-        for thread in threads:
-            thread.start()
-        while any(thread.is_alive() for thread in threads):
-            self._met = [False] * self.lanes
-            for lane in self.rng.permutation(self.lanes):
+        going = set(range(self.lanes))
+        for lane in range(self.lanes):
+            threading.Thread(target=body, args=(lane,), daemon=True).start()
+        while going:
+            for lane in self.rng.permutation(sorted(going)):
                 self._turn(lane)
             self.phases += 1
-            if not self._failed and any(self._met) and not all(self._met):
-                self._failed = PartedWays(
-                    f"lanes {np.flatnonzero(self._met)} of {self.lanes} met in phase {self.phases}"
-                )
-            if not any(self._met):
-                break
-        for thread in threads:
-            thread.join()
+            if 0 < len(going) < self.lanes:
+                # all who wait are told, and leave
+                self._failed = self._failed or PartedWays(f"after phase {self.phases} only lanes {sorted(going)} go on")
         if self._failed:
             raise self._failed
 
