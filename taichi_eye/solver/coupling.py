@@ -23,8 +23,10 @@ Pressure and velocity are staggered by half a step, so the pair is a leapfrog: s
 its own; the dissipation is lagged. Steps 2 and 4 are one pass over the nodes each: the pressure's gradients go with the
 velocity's dissipation, which has its gradients from the step before, the velocity's with the pressure's.
 
-Nothing in step 2 needs step 1, so the code takes step 2 first: a step in parallel is three loops, one over the eyes
-between two over the nodes. P p is summed once for all sweeps; a sweep sums the divergence alone, over gradient weights.
+Nothing in step 2 needs step 1. So a step in parallel is three loops: step 2 over the nodes, beside it step 1 and the
+mean pressure's sum; step 3 over the eyes; step 4 over the nodes. Steps 1 and 3 of an eye are carried out by its team
+(`taichi_eye.solver.team`), a block of threads on a GPU, one thread on a CPU, and so, where an eye marches on its own,
+are steps 2 and 4. P p is summed once for all sweeps; a sweep sums the divergence alone, over gradient weights.
 
 Tried on two cores and left out: all threads in one launch per sample, meeting at barriers in memory. 4089 nodes went
 from 0.37 to 0.53 of the bare gather's rate, 16 k from 0.33 to 0.35; but a thread that waits spins, and one other busy
@@ -314,7 +316,7 @@ class Coupling:
                     self.aqueous.kick(eye, i, kick_dt, self.cornea.velocity)
                 # step 1 reads and writes nothing of this; all meet in it
                 self.move_wall(eye, lane, float(plan[k, 4 + step]), dt)
-                pressure, weight = self.aqueous.pressure_sums(eye, lane, self.team.size())
+                pressure, weight = self.aqueous.pressure_sums(eye, lane, self.team.lanes)
                 self.match_wall(eye, lane, dt, pressure, weight)
                 # the last meeting has been before the wall's last guess, of which nothing is read here
                 for i in range(start, end):

@@ -49,11 +49,6 @@ class Team:
             )
 
     @ti.func
-    def size(self):
-        """How many lanes there are."""
-        return self.lanes
-
-    @ti.func
     def meet(self, eye):
         """Every lane waits here for the others of its eye, and then sees what they have written."""
         if ti.static(self.lanes > 1):
@@ -80,8 +75,8 @@ class Team:
         """A lane's stretch, start and end, of the indices from `first` to `end`."""
         start, stop = first, end
         if ti.static(self.lanes > 1):
-            start = first + (end - first) * lane // self.size()
-            stop = first + (end - first) * (lane + 1) // self.size()
+            start = first + (end - first) * lane // self.lanes
+            stop = first + (end - first) * (lane + 1) // self.lanes
         return start, stop
 
     @ti.func
@@ -125,12 +120,12 @@ class Team:
         after another meeting only. Few accesses in the code: the language takes time for each beside every other one.
         """
         self.meet(eye)
-        groups = (self.size() - 1) // self.group + 1
-        for m in range((columns * groups - lane + self.size() - 1) // self.size()):
-            c, g = (m * self.size() + lane) % columns, (m * self.size() + lane) // columns
+        groups = (self.lanes - 1) // self.group + 1
+        for m in range((columns * groups - lane + self.lanes - 1) // self.lanes):
+            c, g = (m * self.lanes + lane) % columns, (m * self.lanes + lane) // columns
             first = g * self.group
             value, place = self.shares[eye, first, c], self.places[eye, first, c]
-            for k in range(first + 1, ti.min(first + self.group, self.size())):
+            for k in range(first + 1, ti.min(first + self.group, self.lanes)):
                 share = self.shares[eye, k, c]
                 if c < summed:
                     value += share
@@ -138,8 +133,8 @@ class Team:
                     value, place = share, self.places[eye, k, c]
             self.group_shares[eye, c, g], self.group_places[eye, c, g] = value, place
         self.meet(eye)
-        for m in range((columns - lane + self.size() - 1) // self.size()):
-            c = m * self.size() + lane
+        for m in range((columns - lane + self.lanes - 1) // self.lanes):
+            c = m * self.lanes + lane
             value, place = self.group_shares[eye, c, 0], self.group_places[eye, c, 0]
             for g in range(1, groups):
                 share = self.group_shares[eye, c, g]

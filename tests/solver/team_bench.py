@@ -1,14 +1,17 @@
-"""Teams of CPU threads: what a block of a GPU's threads runs, run where no GPU is, and told on stdout as JSON.
+"""Teams of CPU threads: the compiled kernels that a block of a GPU's threads runs, run where no GPU is.
 
-A lane sits on a thread of its own and spins at every meeting until the others of its eye have come. So whatever one
-lane reads before another has written it shows as a difference, and a lane that does not come to a meeting as a team
-that is stuck: the lanes give up after so many turns, and go on without waiting. How many lanes work is asked when
-the program runs, so that one compilation serves any number up to the most.
+A lane sits on a thread of its own and spins at every meeting until the others of its eye have come, so that what one
+lane reads before another has written it can show, as can what the compiler moves over a meeting. A lane that does not
+come leaves the others waiting: they give up after so many turns, and go on without.
 
-Run as a program in a process of its own: it takes as many threads as lanes, and might hang where a test fails.
+    PYTHONPATH=. python tests/solver/team_bench.py sums             seconds: what `test_team.py` runs
+    PYTHONPATH=. python tests/solver/team_bench.py eyes             a minute or two of compiling; prints differences
+
+Both take a process of their own and two lanes, since lanes without a processor each wait for their turns at length.
 """
 
 import json
+import math
 import sys
 
 import numpy as np
@@ -25,51 +28,39 @@ PATIENCE = 1_000_000_000  # turns of all waiting of a run
 
 @ti.data_oriented
 class SpinningTeam(Team):
-    """Up to `lanes` threads to an eye; `working` says how many."""
+    """A CPU thread to each lane of an eye."""
 
     def __init__(self, lanes: int, eyes: int):
         super().__init__(lanes, eyes, width=ONE_THREAD)
         self.block = None
-        self.working = ti.field(ti.i32, ())
         self.arrived, self.waited = (ti.field(ti.i32, eyes) for _ in range(2))
 
-    def engage(self, lanes: int) -> None:
-        """From now on so many lanes work."""
-        self.working[None] = lanes
-        self.arrived.fill(0)
-        self.waited.fill(0)
-
     def stuck(self) -> bool:
-        """Whether somebody has waited in vain since."""
+        """Whether somebody has waited in vain."""
         return bool(self.waited.to_numpy().max() >= PATIENCE)
-
-    @ti.func
-    def size(self):
-        # while an eye is set up nobody has said yet
-        return ti.max(self.working[None], 1)
 
     @ti.func
     def meet(self, eye):
         # as many must have come as make this round full; who has waited too long in all waits no more
         arrived = ti.atomic_add(self.arrived[eye], 1)
         waited = ti.atomic_max(self.waited[eye], 0)
-        while ti.atomic_max(self.arrived[eye], 0) < (arrived // self.size() + 1) * self.size() and waited < PATIENCE:
+        while ti.atomic_max(self.arrived[eye], 0) < (arrived // self.lanes + 1) * self.lanes and waited < PATIENCE:
             waited += 1
         ti.atomic_max(self.waited[eye], waited)
 
     @ti.func
     def stretch(self, eyes, others):
         """Indices of a lane, which a CPU thread takes in a row: a seat at each eye's team, then its share of others."""
-        return ti.max(ONE_THREAD, eyes + (others + self.size() - 1) // self.size())
+        return ti.max(ONE_THREAD, eyes + (others + self.lanes - 1) // self.lanes)
 
     @ti.func
     def extent(self, eyes, others):
-        return self.size() * self.stretch(eyes, others)
+        return self.lanes * self.stretch(eyes, others)
 
     @ti.func
     def seat(self, n, eyes, others):
         lane, eye = n // self.stretch(eyes, others), n % self.stretch(eyes, others)
-        other = (eye - eyes) * self.size() + lane
+        other = (eye - eyes) * self.lanes + lane
         if eye >= eyes:
             eye = -1
             if other >= others:
@@ -78,10 +69,10 @@ class SpinningTeam(Team):
         return eye, lane, other
 
 
-MOST = 4
-SHORT = ("numerics.spacing_mm=0.4", "numerics.sound_speed_m_s=20", "puff.duration_ms=2", "numerics.duration_ms=0.5")
+LANES = 2
+SHORT = ("numerics.spacing_mm=0.4", "numerics.sound_speed_m_s=20", "puff.duration_ms=2", "numerics.duration_ms=1")
 # all that a wall may have: a shell that shears and relaxes under a jet that feels the dent, a globe behind; an open
-# chamber; loose coupling
+# chamber without slip; loose coupling
 EYES = (
     (),
     (
@@ -99,32 +90,48 @@ EYES = (
 )
 
 
-def scenes():
-    return [load_scene(None, (*SHORT, *keys)) for keys in EYES]
-
-
-def histories(lanes: int, together: bool, broken: int | None = None):
-    """What every eye's traces are with so many lanes, and whether a team got stuck.
+def outcomes_of(together: bool, broken: int | None = None):
+    """What becomes of every eye; whether a team got stuck.
 
     together: all eyes in launches for each pass, and not each by its team from end to end; broken: an eye that gets a
     node without a velocity half-way.
     """
     coupling.SERIAL_NODES = 0 if together else 4000
-    batch = Batch(scenes())
-    team = batch.coupling.team
-    team.engage(lanes)
+    backend.threads = lambda: 9 if together else 1
+    batch = Batch([load_scene(None, (*SHORT, *keys)) for keys in EYES])
 
     def spoil(batch):
         if broken is not None and batch.sample == 5:
             batch.cornea.velocity[int(batch.first[broken]) + 3] = [0.0, np.nan]
 
-    outcomes = batch.run(spoil)
-    return {
-        "traces": [{name: column.tolist() for name, column in outcome.traces.items()} for outcome in outcomes],
-        "stops": [outcome.stop.what if outcome.stop else "" for outcome in outcomes],
-        "steps": batch.steps.tolist(),
-        "stuck": team.stuck(),
-    }
+    return batch.run(spoil), batch.coupling.team
+
+
+def apart(outcomes, others, leave_out=None) -> float:
+    """The largest difference between traces, over each one's largest value; the balance of energies is nothing but
+    differences."""
+    return max(
+        np.abs(values - other.traces[name]).max() / max(np.abs(values).max(), 1e-300)
+        for eye, (outcome, other) in enumerate(zip(outcomes, others))
+        for name, values in outcome.traces.items()
+        if name not in ("energy_error_uj", "coupling_residual") and eye != leave_out
+    )
+
+
+def compare_eyes() -> None:
+    """Print how far eyes stepped by teams are from eyes stepped by one thread."""
+    backend.init("cpu", "f64", 1)
+    alone, _ = outcomes_of(together=False)
+    backend.init("cpu", "f64", LANES)
+    coupling.team_for, coupling.PARTS = (lambda eyes: SpinningTeam(LANES, eyes)), 5
+    for together in (False, True):
+        (first, _), (again, team) = outcomes_of(together), outcomes_of(together)
+        way = "launches for each pass" if together else "each from end to end"
+        print(f"{way}: {apart(alone, first):.1e} from one thread, {apart(first, again):.1e} from run to run", end="")
+        print(", stuck" if team.stuck() else "")
+    broken, team = outcomes_of(together=False, broken=1)
+    print(f"beside a broken eye ({broken[1].stop.what}): {apart(alone, broken, leave_out=1):.1e}", end="")
+    print(", stuck" if team.stuck() else "")
 
 
 @ti.data_oriented
@@ -149,44 +156,39 @@ class Heap:
                     if x < bottom:
                         bottom, at_bottom = x, i
                 sums, tops, places = self.team.combine(
-                    0,
-                    lane,
-                    ti.Vector([total, 1.0, 0.0]),
-                    ti.Vector([top, -bottom]),
-                    ti.Vector([at_top, at_bottom]),
+                    0, lane, ti.Vector([total, 1.0]), ti.Vector([top, -bottom]), ti.Vector([at_top, at_bottom])
                 )
-                total, lanes, top, bottom, at_top, at_bottom = sums[0], sums[1], tops[0], -tops[1], places[0], places[1]
                 if lane == 0:
-                    for c, x in ti.static(enumerate((total, lanes, top, at_top, bottom, at_bottom))):
-                        self.found[c] = x
+                    for c in ti.static(range(2)):
+                        self.found[c], self.found[2 + c], self.found[4 + c] = sums[c], tops[c], places[c]
 
 
-def sums(seed: int):
-    """For heaps of any size: the numbers, and what teams of every size found in them."""
-    rng, found = np.random.default_rng(seed), []
-    team = SpinningTeam(MOST, 1)
+def check_sums(seed: int) -> None:
+    """Print, as JSON, for heaps of any size what a team found in them beside what is there; a team's sum over the sum
+    of the numbers' sizes."""
+    backend.init("cpu", "f64", LANES)
+    rng, told = np.random.default_rng(seed), []
+    team = SpinningTeam(LANES, 1)
     heap = Heap(team, 500)
-    for count in (1, 2, 3, 4, 5, *rng.integers(6, 500, 6).tolist()):
+    for count in (1, 2, 3, *rng.integers(4, 500, 6).tolist()):
         numbers = rng.standard_normal(500) * 10.0 ** rng.integers(-6, 6, 500)
         numbers[rng.integers(0, count, 2)] = numbers[rng.integers(0, count)]
         heap.number.from_numpy(numbers)
-        for lanes in range(1, MOST + 1):
-            team.engage(lanes)
-            heap.look(count)
-            found.append([numbers[:count].tolist(), lanes, heap.found.to_numpy().tolist()])
-    return {"found": found, "stuck": team.stuck()}
-
-
-def main():
-    backend.init("cpu", "f64", MOST)
-    coupling.team_for = lambda eyes: SpinningTeam(MOST, eyes)
-    coupling.PARTS = 5
-    said = {"sums": sums(int(sys.argv[1]))}
-    for together in (False, True):
-        said[f"together {together}"] = [[lanes, histories(lanes, together)] for lanes in (2, 3, 4, 2)]
-    said["broken"] = histories(3, together=False, broken=1)
-    print(json.dumps(said))
+        heap.look(count)
+        total, lanes, top, bottom, at_top, at_bottom = heap.found.to_numpy().tolist()
+        numbers = numbers[:count]
+        told.append(
+            {
+                "error": abs(total - math.fsum(numbers)) / np.abs(numbers).sum(),
+                "found": [lanes, top, -bottom, at_top, at_bottom],
+                "there": [LANES, numbers.max(), numbers.min(), int(numbers.argmax()), int(numbers.argmin())],
+            }
+        )
+    print(json.dumps({"told": told, "stuck": team.stuck()}))
 
 
 if __name__ == "__main__":
-    main()
+    if sys.argv[1] == "sums":
+        check_sums(int(sys.argv[2]))
+    else:
+        compare_eyes()

@@ -1,10 +1,13 @@
 """A team of threads does with an eye what one thread does with it, however its lanes get ahead of one another."""
 
+import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from plain import PartedWays, Plain, Vector, as_python, in_turns
+from processes import python
 
 from taichi_eye.scene import load_scene
 from taichi_eye.solver.batch import Batch
@@ -272,3 +275,12 @@ def test_reading_before_a_meeting_is_found():
 
         in_turns(3, np.random.default_rng(seed), Bare(), work)
     assert told == {1, 2, 3}
+
+
+def test_threads_that_meet_sum_as_they_should():
+    said = python(Path(__file__).with_name("team_bench.py"), "sums", 7)
+    assert said.returncode == 0, said.stderr
+    found = json.loads(said.stdout.splitlines()[-1])
+    assert not found["stuck"] and len(found["told"]) == 9
+    for heap in found["told"]:
+        assert heap["error"] < 1e-14 and heap["found"] == heap["there"]
