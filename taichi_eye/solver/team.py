@@ -42,7 +42,7 @@ class Team:
             self.group = math.isqrt(lanes - 1) + 1  # lanes whose shares are added first
             groups = -(-lanes // self.group)
             self.shares, self.group_shares, self.whole = (
-                ti.field(real(), (eyes, *shape)) for shape in ((lanes, COLUMNS), (COLUMNS, groups), (COLUMNS,))
+                ti.field(real(), (eyes, COLUMNS, *shape)) for shape in ((lanes,), (groups,), ())
             )
             self.places, self.group_places, self.whole_place = (
                 ti.field(ti.i32, field.shape) for field in (self.shares, self.group_shares, self.whole)
@@ -85,7 +85,7 @@ class Team:
         total = numbers
         if ti.static(self.lanes > 1):
             for c in ti.static(range(numbers.n)):
-                self.shares[eye, lane, c] = numbers[c]
+                self.shares[eye, c, lane] = numbers[c]
             self._put_together(eye, lane, numbers.n, numbers.n)
             for c in ti.static(range(numbers.n)):
                 total[c] = self.whole[eye, c]
@@ -100,10 +100,10 @@ class Team:
         total, top, place = numbers, tops, places
         if ti.static(self.lanes > 1):
             for c in ti.static(range(numbers.n)):
-                self.shares[eye, lane, c] = numbers[c]
+                self.shares[eye, c, lane] = numbers[c]
             for c in ti.static(range(tops.n)):
-                self.shares[eye, lane, numbers.n + c] = tops[c]
-                self.places[eye, lane, numbers.n + c] = places[c]
+                self.shares[eye, numbers.n + c, lane] = tops[c]
+                self.places[eye, numbers.n + c, lane] = places[c]
             self._put_together(eye, lane, numbers.n, numbers.n + tops.n)
             for c in ti.static(range(numbers.n)):
                 total[c] = self.whole[eye, c]
@@ -124,13 +124,13 @@ class Team:
         for m in range((columns * groups - lane + self.lanes - 1) // self.lanes):
             c, g = (m * self.lanes + lane) % columns, (m * self.lanes + lane) // columns
             first = g * self.group
-            value, place = self.shares[eye, first, c], self.places[eye, first, c]
+            value, place = self.shares[eye, c, first], self.places[eye, c, first]
             for k in range(first + 1, ti.min(first + self.group, self.lanes)):
-                share = self.shares[eye, k, c]
+                share = self.shares[eye, c, k]
                 if c < summed:
                     value += share
                 elif share > value:
-                    value, place = share, self.places[eye, k, c]
+                    value, place = share, self.places[eye, c, k]
             self.group_shares[eye, c, g], self.group_places[eye, c, g] = value, place
         self.meet(eye)
         for m in range((columns - lane + self.lanes - 1) // self.lanes):
