@@ -23,10 +23,11 @@ Pressure and velocity are staggered by half a step, so the pair is a leapfrog: s
 its own; the dissipation is lagged. Steps 2 and 4 are one pass over the nodes each: the pressure's gradients go with the
 velocity's dissipation, which has its gradients from the step before, the velocity's with the pressure's.
 
-Nothing in step 2 needs step 1. So a step in parallel is three loops: step 2 over the nodes, beside it step 1 and the
-mean pressure's sum; step 3 over the eyes; step 4 over the nodes. Steps 1 and 3 of an eye are carried out by its team
-(`taichi_eye.solver.team`), a block of threads on a GPU, one thread on a CPU, and so, where an eye marches on its own,
-are steps 2 and 4. P p is summed once for all sweeps; a sweep sums the divergence alone, over gradient weights.
+Nothing in step 2 needs step 1, so the code takes step 2 first: a step in parallel is three loops, one over the eyes
+between two over the nodes, and on a GPU step 1 and the mean pressure's sum go beside step 2. Steps 1 and 3 of an eye
+are carried out by its team (`taichi_eye.solver.team`), a block of threads on a GPU, one thread on a CPU, and so, where
+an eye marches on its own, are steps 2 and 4. P p is summed once for all sweeps; a sweep sums the divergence alone, over
+gradient weights.
 
 Tried on two cores and left out: all threads in one launch per sample, meeting at barriers in memory. 4089 nodes went
 from 0.37 to 0.53 of the bare gather's rate, 16 k from 0.33 to 0.35; but a thread that waits spins, and one other busy
@@ -91,9 +92,8 @@ class Coupling:
         self.sweeps = ti.field(ti.i32, eyes)
         self.worst_residual, self.rest_enclosed = ti.field(fp, eyes), ti.field(fp, eyes)
         self.team = team_for(eyes)
-        # the sums of the mean pressure's parts (`Aqueous.pressure_sums`), which a GPU takes in as many threads
-        self.parts = PARTS if self.team.lanes > 1 else 1
-        self.pressure_part = ti.Vector.field(2, fp, (eyes, self.parts))
+        if self.team.lanes > 1:
+            self.pressure_part = ti.Vector.field(2, fp, (eyes, PARTS))  # `Aqueous.pressure_sums`
         self._plan = None
         self.march_all, self._step_all = _launches(self)
 
@@ -345,7 +345,7 @@ def _launches(coupling):
                 if lane >= 0:
                     coupling.march(int(plan[k, 0]), lane, k, plan)
 
-    eyes, parts = cornea.first.shape[0], coupling.parts
+    eyes, parts = cornea.first.shape[0], PARTS
 
     @ti.func
     def runs(eye, step, plan: ti.template()):
@@ -353,21 +353,45 @@ def _launches(coupling):
         return step < plan[eye, 1] and coupling.status[eye] == RUNNING
 
     @ti.func
-    def reach():
-        """How far a loop over the nodes of all eyes goes: on a GPU over their capacity, since it would first be asked
-        by a launch of its own how many there are."""
-        if ti.static(team.lanes > 1):
-            return aqueous.capacity
-        else:
-            return aqueous.neighbours.total[None]
+    def kick(i, step, plan: ti.template()):
+        eye = aqueous.neighbours.eye_of[i]
+        if runs(eye, step, plan):
+            kick_dt = float(plan[eye, 2])
+            if step == 0:
+                kick_dt = float(plan[eye, 3])
+            aqueous.kick(eye, i, kick_dt, cornea.velocity)
+
+    @ti.func
+    def compress(i, plan: ti.template()):
+        eye = aqueous.neighbours.eye_of[i]
+        if coupling.going[eye] == 1:
+            aqueous.compress(eye, i, float(plan[eye, 2]), coupling.wall_velocity)
+
+    # row k of a plan is that of eye k
+    @ti.kernel
+    def step_by_threads(step: int, plan: ti.types.ndarray()):
+        for i in range(aqueous.neighbours.total[None]):
+            kick(i, step, plan)
+        # not worth waking other threads for
+        ti.loop_config(serialize=True)
+        for eye in range(plan.shape[0]):
+            coupling.going[eye] = 0
+            if runs(eye, step, plan):
+                coupling.going[eye] = 1
+                coupling.move_wall(eye, 0, float(plan[eye, 4 + step]), float(plan[eye, 2]))
+                pressure, weight = aqueous.pressure_sums(eye, 0, 1)
+                coupling.match_wall(eye, 0, float(plan[eye, 2]), pressure, weight)
+        for i in range(aqueous.neighbours.total[None]):
+            compress(i, plan)
 
     @ti.kernel
-    def step_all(step: int, plan: ti.types.ndarray()):
-        # row k of the plan is that of eye k; step 1 and the mean pressure's sum go beside step 2
+    def step_by_teams(step: int, plan: ti.types.ndarray()):
+        # loops go over the capacity: how many nodes there are would have to be asked first, by a launch of its own.
+        # Beside the nodes' velocities step 1, and the sum of the mean pressure in parts
         if ti.static(team.block):
             ti.loop_config(block_dim=team.block)
-        for n in range(team.extent(eyes, eyes * parts + reach())):
-            eye, lane, other = team.seat(n, eyes, eyes * parts + reach())
+        for n in range(team.extent(eyes, eyes * parts + aqueous.capacity)):
+            eye, lane, other = team.seat(n, eyes, eyes * parts + aqueous.capacity)
             if eye >= 0:
                 if lane >= 0 and runs(eye, step, plan):
                     coupling.move_wall(eye, lane, float(plan[eye, 4 + step]), float(plan[eye, 2]))
@@ -377,17 +401,9 @@ def _launches(coupling):
                     total, weight = aqueous.pressure_sums(eye, part, parts)
                     coupling.pressure_part[eye, part] = ti.Vector([total, weight])
             elif other - eyes * parts < aqueous.neighbours.total[None]:
-                i = other - eyes * parts
-                eye = aqueous.neighbours.eye_of[i]
-                if runs(eye, step, plan):
-                    kick_dt = float(plan[eye, 2])
-                    if step == 0:
-                        kick_dt = float(plan[eye, 3])
-                    aqueous.kick(eye, i, kick_dt, cornea.velocity)
+                kick(other - eyes * parts, step, plan)
         if ti.static(team.block):
             ti.loop_config(block_dim=team.block)
-        elif ti.static(team.lanes == 1):
-            ti.loop_config(serialize=True)
         for n in range(team.extent(eyes, 0)):
             eye, lane, _ = team.seat(n, eyes, 0)
             if lane >= 0:
@@ -403,10 +419,8 @@ def _launches(coupling):
                         pressure += coupling.pressure_part[eye, part][0]
                         weight += coupling.pressure_part[eye, part][1]
                     coupling.match_wall(eye, lane, float(plan[eye, 2]), pressure, weight)
-        for i in range(reach()):
+        for i in range(aqueous.capacity):
             if i < aqueous.neighbours.total[None]:
-                eye = aqueous.neighbours.eye_of[i]
-                if coupling.going[eye] == 1:
-                    aqueous.compress(eye, i, float(plan[eye, 2]), coupling.wall_velocity)
+                compress(i, plan)
 
-    return march_all, step_all
+    return march_all, step_by_teams if team.lanes > 1 else step_by_threads
