@@ -54,6 +54,7 @@ from taichi_eye.mfpm.neighbours import NeighbourLists
 from taichi_eye.mfpm.operators import CONDITION_LIMIT, SEARCH_RADIUS, STENCIL, WIDTH, MfpmOperators
 from taichi_eye.solver.globe import Globe
 from taichi_eye.solver.scheme import Scheme
+from taichi_eye.solver.team import ALONE
 
 CORNERS = 12  # triangles that may meet in a node
 
@@ -464,27 +465,40 @@ class Aqueous:
             )
 
     @ti.func
-    def missing_pressure(self, eye, volume, dt):
-        """The uniform pressure [Pa] to add in the step of dt [s] that ends with the chamber at its volume [m^3].
-
-        Continuity is going to bring the liquid's own stiffness times the change of volume; what that and the present
-        mean lack of the mean pressure that the volume stands for is added. In an open chamber that mean is zero. What
-        the rest of the globe takes up (`taichi_eye.solver.globe`) has left, from everywhere alike.
-        """
+    def pressure_sums(self, eye, part, parts):
+        """Sums over an eye's nodes of volume times pressure [J] and of volume [m^3]: the share of one of so many parts,
+        every so many'th four nodes."""
         first, count = self.first[eye], self.count[eye]
         # four sums side by side: one alone waits for its last addition
         totals, weights = ti.Vector([0.0, 0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0, 0.0])
-        for k in range(count // 4):
-            i = first + 4 * k
+        for k in range((count // 4 - part + parts - 1) // parts):
+            i = first + 4 * (k * parts + part)
             shares = ti.Vector([self.volume[i], self.volume[i + 1], self.volume[i + 2], self.volume[i + 3]])
             totals += shares * ti.Vector(
                 [self.pressure[i], self.pressure[i + 1], self.pressure[i + 2], self.pressure[i + 3]]
             )
             weights += shares
         total, weight = totals.sum(), weights.sum()
-        for i in range(first + count - count % 4, first + count):
-            total += self.volume[i] * self.pressure[i]
-            weight += self.volume[i]
+        if part == 0:
+            for i in range(first + count - count % 4, first + count):
+                total += self.volume[i] * self.pressure[i]
+                weight += self.volume[i]
+        return total, weight
+
+    @ti.func
+    def missing_pressure(self, eye, volume, dt):
+        """What `add_pressure` says at the mean pressure that an eye's nodes have."""
+        total, weight = self.pressure_sums(eye, 0, 1)
+        return self.add_pressure(eye, volume, dt, total / weight)
+
+    @ti.func
+    def add_pressure(self, eye, volume, dt, present):
+        """The uniform pressure [Pa] to add in the step of dt [s] that ends with the chamber at its volume [m^3].
+
+        Continuity is going to bring the liquid's own stiffness times the change of volume; what that and the present
+        mean lack of the mean pressure that the volume stands for is added. In an open chamber that mean is zero. What
+        the rest of the globe takes up (`taichi_eye.solver.globe`) has left, from everywhere alike.
+        """
         mean, coming = 0.0, 0.0
         if self.sealed[eye] == 1:
             stiffness = self.density0[eye] * self.mean_speed[eye] ** 2
@@ -494,7 +508,7 @@ class Aqueous:
             self.globe.take_up(eye, followed, mean)
             coming = self.density0[eye] * self.sound_speed[eye] ** 2 * (self.last_volume[eye] / volume - 1.0)
         self.last_volume[eye] = volume
-        return mean - coming - total / weight
+        return mean - coming - present
 
     @ti.func
     def stored_at(self, eye, i):
@@ -510,10 +524,17 @@ class Aqueous:
     @ti.func
     def energies(self, eye, volume):
         """Kinetic energy and elastic energy relative to rest [J] of an eye's liquid; the IOP's part is left out."""
+        kinetic, elastic, weight = self.energy_sums(eye, ALONE, 0)
+        return kinetic * volume / weight, elastic * volume / weight
+
+    @ti.func
+    def energy_sums(self, eye, team: ti.template(), lane):
+        """Both over the nodes' own volumes, and these [m^3]: a lane's share."""
         kinetic, elastic, weight = 0.0, 0.0, 0.0
-        for i in range(self.first[eye], self.first[eye] + self.count[eye]):
+        start, end = team.share(self.first[eye], self.first[eye] + self.count[eye], lane)
+        for i in range(start, end):
             rho = self.density(eye, i)
             kinetic += 0.5 * rho * self.volume[i] * self.velocity[i].norm_sqr()
             elastic += rho * self.volume[i] * self.stored_at(eye, i)
             weight += self.volume[i]
-        return kinetic * volume / weight, elastic * volume / weight
+        return kinetic, elastic, weight

@@ -7,9 +7,10 @@ the traces grow by a row, the guards look, and the operator weights are rebuilt 
 `numerics.refresh_travel` spacings since they were last. An eye that a guard stops, or that has reached its end, rests
 while the others go on.
 
-On the CPU a sample is a parallel loop over the eyes, each with all its steps on one thread, so an eye does the same
-arithmetic in the same order whatever stands beside it: its traces are those of a run alone, bit for bit. What Python
-does at a sample it does for all eyes at once, on arrays.
+A sample of small eyes, or of many, is a parallel loop over the eyes, each with all its steps on one thread of a CPU or
+in one block of a GPU (`taichi_eye.solver.sample`), so an eye does the same arithmetic in the same order whatever stands
+beside it: its traces are those of a run alone, on a CPU bit for bit. What Python does at a sample it does for all eyes
+at once, on arrays.
 """
 
 import ast

@@ -59,6 +59,7 @@ from taichi_eye.eye.eye import Eye
 from taichi_eye.eye.laws import LAWS, Law
 from taichi_eye.lang import ONE_TASK, ti
 from taichi_eye.solver import rings
+from taichi_eye.solver.team import ALONE
 
 # squared frequency of the stiffest discrete wave of tension or shear, which sits at the apex, over speed^2 / L^2: a
 # strip has 4
@@ -73,6 +74,9 @@ class Cornea:
 
     place, velocity, acceleration: [m], [m/s], [m/s^2]; rest: reference places; force_air, force_solid: forces [N] of
     the air and of everything else but the fluid's excess pressure; stress: S1, S2 of each element [Pa].
+
+    What reads or moves a whole wall takes a team and a lane of it (`taichi_eye.solver.team`) and does, or sums, that
+    lane's share: everything where nobody else is there, as by default.
 
     Verification problems change three things. law: another tissue. rim: "clamped" (the limbus), "sliding_r" or
     "sliding_z" (a symmetry plane in which the last node moves along r or along z). planar: a strip of unit depth in
@@ -310,9 +314,18 @@ class Cornea:
 
     @ti.func
     def deform(self, eye, dt):
-        """Tensions of all elements of an eye at its present places, dt [s] after the last ones; serial over the
-        wall."""
+        """Tensions of all elements of an eye at its present places, dt [s] after the last ones."""
+        self.relaxed_work[eye] = self.deform_share(eye, dt, ALONE, 0)
+
+    @ti.func
+    def deform_share(self, eye, dt, team: ti.template(), lane):
+        """The same by a lane, which gives the work [J] against overstress and viscosity: lane 0 with all that was done
+        before."""
         first, last = self.first[eye], self.last[eye]
+        start, end = team.share(first, last, lane)
+        work = 0.0
+        if lane == 0:
+            work = self.relaxed_work[eye]
         share, time = self.relaxation[eye][0], self.relaxation[eye][1]
         # what is left of an overstress, and what of a change of stress is added
         kept, gain = 1.0, 0.0
@@ -321,9 +334,14 @@ class Cornea:
             gain = share * (1.0 - kept) * time / dt
         if self.flexible[eye] != 0:
             before = ti.Vector([0.0, 0.0])  # turned by: now, and a step ago
-            for k in range(first, last):
-                edge, old, rest = self.place[k + 1] - self.place[k], self.inclination[k], self.rest_angle[k]
-                angle = ti.atan2(-edge[1], edge[0])
+            if ti.static(team.lanes > 1):
+                if first < start and start < end:
+                    rest = self.rest_angle[start - 1][0]
+                    before = ti.Vector([self.angle_of(start - 1), self.inclination[start - 1][0]]) - rest
+                # nobody overwrites an inclination of a step ago that another lane still asks for
+                team.meet(eye)
+            for k in range(start, end):
+                old, rest, angle = self.inclination[k], self.rest_angle[k], self.angle_of(k)
                 now = ti.Vector([angle, ti.sin(angle)])
                 self.inclination[k] = now
                 turned = ti.Vector([now[0] - rest[0], old[0] - rest[0]])
@@ -331,35 +349,47 @@ class Cornea:
                 change = ti.Vector([bend[0] - (turned[1] - before[1]), now[1] - old[1]])
                 before = turned
                 over = kept * self.overmoment[k] + gain * self.flexure[k] * change
-                self.relaxed_work[eye] += 0.5 * (over + self.overmoment[k]).dot(change)
+                work += 0.5 * (over + self.overmoment[k]).dot(change)
                 self.overmoment[k], self.moment[k] = over, self.flexure[k] * bend + over
                 if self.shear[k] > 0.0:
-                    self._tilt(eye, k, turned[0], dt)
-        for k in range(first, last):
-            self._stretch(eye, k, kept, gain)
+                    work += self._tilt(eye, k, turned[0], dt)
+            # an element's torque asks for the moment of the next one
+            team.meet(eye)
+        for k in range(start, end):
+            taken = self._stretch(eye, k, kept, gain)
+            if gain > 0.0:
+                work += taken
+        return work
+
+    @ti.func
+    def angle_of(self, k):
+        """Inclination of element k at its present place."""
+        edge = self.place[k + 1] - self.place[k]
+        return ti.atan2(-edge[1], edge[0])
 
     @ti.func
     def _tilt(self, eye, k, turned, dt):
-        # what shear of element k asks of its gamma, dt after the last one
+        # what shear of element k asks of its gamma, dt after the last one; the work [J] against it
         slide, over = ti.tan(turned), 0.0
         change = slide - self.slide[k]
         if dt > 0.0:
             over = self.shear[k] * self.shear_delay[eye] * change / dt
-        self.relaxed_work[eye] += 0.5 * (over + self.overshear[k]) * change
+        work = 0.5 * (over + self.overshear[k]) * change
         self.slide[k], self.overshear[k], self.shear_torque[k] = slide, over, self.shear[k] * slide + over
+        return work
 
     @ti.func
     def _stretch(self, eye, k, kept, gain):
-        # edge tension (N, along the edge, pulling node k outwards) and hoop force (N) of element k
+        # edge tension (N, along the edge, pulling node k outwards) and hoop force (N) of element k; the work [J]
+        # against its overstress
+        work = 0.0
         strain = self.strain_of(k)
         s1, s2 = self.law.stress(strain[0], strain[1], self.prestrain[k], self.material[eye])
         stress = ti.Vector([s1, s2])
         if gain > 0.0:
             change = stress - (self.stress[k] - self.overstress[k])
             over = kept * self.overstress[k] + gain * change
-            self.relaxed_work[eye] += (
-                0.5 * self.element_volume[k] * (over + self.overstress[k]).dot(strain - self.strain[k])
-            )
+            work = 0.5 * self.element_volume[k] * (over + self.overstress[k]).dot(strain - self.strain[k])
             self.overstress[k] = over
             stress += over
         self.stress[k], self.strain[k] = stress, strain
@@ -376,14 +406,19 @@ class Cornea:
             if k + 1 < self.last[eye]:
                 torque -= self.moment[k + 1][0]
             self.tension[k] += ti.Vector([edge[1], -edge[0]]) * (torque / edge.norm_sqr())
+        return work
 
     @ti.func
-    def bending_energy(self, eye):
+    def bending_energy(self, eye, team: ti.template() = ALONE, lane=0):
         """Energy of bending and shear [J], zero at rest; work against overmoments and viscosity is `relaxed_work`."""
         energy = 0.0
         if self.flexible[eye] != 0:
             before = 0.0
-            for k in range(self.first[eye], self.last[eye]):
+            start, end = team.share(self.first[eye], self.last[eye], lane)
+            if ti.static(team.lanes > 1):
+                if self.first[eye] < start and start < end:
+                    before = self.angle_of(start - 1) - self.rest_angle[start - 1][0]
+            for k in range(start, end):
                 edge = self.place[k + 1] - self.place[k]
                 turned = ti.atan2(-edge[1], edge[0]) - self.rest_angle[k][0]
                 leant = -edge[1] / edge.norm() - self.rest_angle[k][1]
@@ -393,7 +428,7 @@ class Cornea:
         return energy
 
     @ti.func
-    def spread_load(self, eye):
+    def spread_load(self, eye, team: ti.template() = ALONE, lane=0):
         """Spread the puff over the nodes of an eye at their present places, where the air feels the dent."""
         if self.dent_feedback[eye] > 0.0:
             first, k, share = self.first[eye], self.chord[eye], self.chord_share[eye]
@@ -403,9 +438,12 @@ class Cornea:
                 kappa += ti.abs(1.0 - end - share) * self.curvature(self.place[first][1], at[0], at[1])
             narrow = self.narrowing(self.dent_feedback[eye], kappa)
             rate = self.load_rate[eye] * narrow * narrow
-            last = self.last[eye]
+            start, end = team.share(first, self.last[eye] + 1, lane)
             inner = self.rest[first][0]
-            for i in range(first, last + 1):
+            if ti.static(team.lanes > 1):
+                if first < start:
+                    inner = self.ring_edge[start - 1]
+            for i in range(start, end):
                 self.load_shape[i] = self.mean_over_ring(rate, inner, self.ring_edge[i])
                 inner = self.ring_edge[i]
 
@@ -475,10 +513,11 @@ class Cornea:
         self.force_air[i] = -self.air_pressure[i] * ring
 
     @ti.func
-    def enclosed_volume(self, eye, place: ti.template()):
+    def enclosed_volume(self, eye, place: ti.template(), team: ti.template() = ALONE, lane=0):
         """Volume [m^3] between a membrane at `place`, a field like its own, and the limbus plane."""
         volume = 0.0
-        for k in range(self.first[eye], self.last[eye]):
+        start, end = team.share(self.first[eye], self.last[eye], lane)
+        for k in range(start, end):
             a, b = place[k], place[k + 1]
             if ti.static(self.planar):
                 volume += 0.5 * (a[1] + b[1]) * (b[0] - a[0])
@@ -496,17 +535,19 @@ class Cornea:
             self.residual[i] = self.elastic_force(eye, i) + self.iop[eye] * self.volume_gradient(eye, i)
 
     @ti.func
-    def elastic_energy(self, eye):
+    def elastic_energy(self, eye, team: ti.template() = ALONE, lane=0):
         """Stored energy [J] relative to rest is this minus its value at rest: tissue plus dead load."""
         energy = 0.0
-        for k in range(self.first[eye], self.last[eye]):
+        start, end = team.share(self.first[eye], self.last[eye], lane)
+        for k in range(start, end):
             strain = self.strain_of(k)
             energy += self.element_volume[k] * self.law.energy(
                 strain[0], strain[1], self.prestrain[k], self.material[eye]
             )
-        for i in range(self.first[eye], self.last[eye] + 1):
+        start, end = team.share(self.first[eye], self.last[eye] + 1, lane)
+        for i in range(start, end):
             energy += self.residual[i].dot(self.place[i] - self.rest[i])
-        return energy + self.bending_energy(eye)
+        return energy + self.bending_energy(eye, team, lane)
 
     @ti.func
     def wave_speeds(self, eye, k):
@@ -546,10 +587,11 @@ class Cornea:
         return stress
 
     @ti.func
-    def kinetic_energy(self, eye):
+    def kinetic_energy(self, eye, team: ti.template() = ALONE, lane=0):
         """Kinetic energy of the membrane [J]."""
         energy = 0.0
-        for i in range(self.first[eye], self.last[eye] + 1):
+        start, end = team.share(self.first[eye], self.last[eye] + 1, lane)
+        for i in range(start, end):
             energy += self.kinetic_at(i, self.velocity[i], self.half_step[eye])
         return energy
 

@@ -24,7 +24,10 @@ its own; the dissipation is lagged. Steps 2 and 4 are one pass over the nodes ea
 velocity's dissipation, which has its gradients from the step before, the velocity's with the pressure's.
 
 Nothing in step 2 needs step 1, so the code takes step 2 first: a step in parallel is three loops, one over the eyes
-between two over the nodes. P p is summed once for all sweeps; a sweep sums the divergence alone, over gradient weights.
+between two over the nodes, and on a GPU step 1 and the mean pressure's sum go beside step 2. Steps 1 and 3 of an eye
+are carried out by its team (`taichi_eye.solver.team`), a block of threads on a GPU, one thread on a CPU, and so, where
+an eye marches on its own, are steps 2 and 4. P p is summed once for all sweeps; a sweep sums the divergence alone, over
+gradient weights.
 
 Tried on two cores and left out: all threads in one launch per sample, meeting at barriers in memory. 4089 nodes went
 from 0.37 to 0.53 of the bare gather's rate, 16 k from 0.33 to 0.35; but a thread that waits spins, and one other busy
@@ -40,8 +43,15 @@ from taichi_eye.lang import ti
 from taichi_eye.solver.aqueous import Aqueous
 from taichi_eye.solver.cornea import Cornea
 from taichi_eye.solver.figures import NOT_CONVERGED, RUNNING
+from taichi_eye.solver.team import team_for
 
 SERIAL_NODES = 4000  # up to here one thread running the whole time loop beats launching each loop on all of them
+# On a GPU, estimated and not measured: a block of threads takes some 4 us for each pass over as many nodes as it has
+# threads; a step's launches take some 60 us besides their gathers, which take 38 us up to some thousand nodes. So a
+# block is faster up to TEAM_NODES, and from TEAM_EYES eyes on, which keep a good third of an H100's multiprocessors
+# busy, at any size.
+TEAM_NODES, TEAM_EYES = 1000, 48
+PARTS = 1024  # threads that sum the mean pressure of an eye on a GPU, beside those that kick its nodes
 # what rounding leaves, by precision: membrane speeds [m/s] below which the wall counts as at rest in the coupling
 # tolerance, and the finest tolerance that can be met
 VELOCITY_FLOOR = {ti.f64: 1e-7, ti.f32: 1e-2}
@@ -81,6 +91,10 @@ class Coupling:
         # the most sweeps of a step and the worst residual since they were last read
         self.sweeps = ti.field(ti.i32, eyes)
         self.worst_residual, self.rest_enclosed = ti.field(fp, eyes), ti.field(fp, eyes)
+        self.team = team_for(eyes)
+        if self.team.lanes > 1:
+            self.pressure_part = ti.Vector.field(2, fp, (eyes, PARTS))  # `Aqueous.pressure_sums`
+        self._plan = None
         self.march_all, self._step_all = _launches(self)
 
     def setup(
@@ -117,25 +131,36 @@ class Coupling:
         """
         puff_apex = np.asarray(puff_apex, dtype=float)[None]
         plan = plan_of([0], puff_apex.size, dt, 0.5 * (dt + dt_before), puff_apex)
-        if backend.on_cpu() and (self.aqueous.nodes[0] <= SERIAL_NODES or backend.threads() == 1):
+        if self.marches(self.aqueous.nodes[:1]):
             self.march_all(plan)
         else:
             self.advance_in_parallel(plan)
+
+    def marches(self, nodes: np.ndarray) -> bool:
+        """Whether eyes of so many nodes take their steps each on its own, from end to end in one launch, rather than
+        all together in launches for each pass over the nodes."""
+        if backend.on_cpu():
+            return len(nodes) >= backend.threads() or nodes.max() <= SERIAL_NODES
+        return self.team.lanes > 1 and (len(nodes) >= TEAM_EYES or nodes.max() <= TEAM_NODES)
 
     def advance_in_parallel(self, plan: np.ndarray) -> None:
         """Carry out a plan (`plan_of`), each pass of a step in parallel over the nodes of all eyes."""
         everyone = np.zeros((len(self.aqueous.nodes), plan.shape[1]))
         everyone[plan[:, 0].astype(int)] = plan
+        if self.team.block:
+            everyone = self._sent(everyone)
         step_all = self._step_all
         for step in range(int(plan[:, 1].max())):
             step_all(step, everyone)
 
-    @ti.func
-    def _start_step(self, eye, i, dt):
-        # wall node i: predictor
-        self.cornea.predict(eye, i, dt)
-        self.guess[i] = self.cornea.acceleration[i]
-        self.last_miss[i] = ti.Vector([0.0, 0.0])
+    def _sent(self, plan: np.ndarray):
+        """A plan in the device's own memory: an array of Python's would go there and come back with each launch."""
+        if self._plan is None or self._plan.shape[1] < plan.shape[1]:
+            self._plan = ti.ndarray(ti.f64, (plan.shape[0], 2 * plan.shape[1]))
+        whole = np.zeros(self._plan.shape)
+        whole[:, : plan.shape[1]] = plan
+        self._plan.from_numpy(whole)
+        return self._plan
 
     @ti.func
     def _work_of_air(self, eye, i, puff, dt):
@@ -147,47 +172,54 @@ class Coupling:
         return 0.5 * (before + self.cornea.force_air[i]).dot(moved)
 
     @ti.func
-    def _move_cornea(self, eye, puff, dt):
-        """Step 1: places, tensions and forces of the membrane; serial over the wall nodes."""
-        first = self.cornea.first[eye]
-        end = first + self.aqueous.wall_count[eye]
-        for i in range(first, end):
-            self._start_step(eye, i, dt)
-        self.cornea.spread_load(eye)
-        self.cornea.deform(eye, dt)
+    def move_wall(self, eye, lane, puff, dt):
+        """Step 1, by a lane: places, tensions and forces of the membrane."""
+        start, end = self.team.share(self.cornea.first[eye], self.cornea.last[eye] + 1, lane)
+        for i in range(start, end):
+            self.cornea.predict(eye, i, dt)
+            self.guess[i] = self.cornea.acceleration[i]
+            self.last_miss[i] = ti.Vector([0.0, 0.0])
+        self.team.meet(eye)
+        self.cornea.spread_load(eye, self.team, lane)
+        relaxed = self.cornea.deform_share(eye, dt, self.team, lane)
+        # a node's force asks for the tensions on either side
+        self.team.meet(eye)
         work = 0.0
-        for i in range(first, end):
+        for i in range(start, end):
             work += self._work_of_air(eye, i, puff, dt)
-        self.cornea.puff_work[eye] += work
+        sums = self.team.sum(eye, lane, ti.Vector([work, relaxed]))
+        if lane == 0:
+            self.cornea.puff_work[eye] += sums[0]
+            self.cornea.relaxed_work[eye] = sums[1]
 
     @ti.func
-    def _match_wall(self, eye, dt):
-        """Step 3: iterate the membrane's acceleration; serial over the wall nodes."""
-        first = self.cornea.first[eye]
-        end = first + self.aqueous.wall_count[eye]
+    def _match_wall(self, eye, lane, dt, volume):
+        """Step 3, by a lane: iterate the membrane's acceleration; volume: of the chamber [m^3]."""
+        start, end = self.team.share(self.cornea.first[eye], self.cornea.last[eye] + 1, lane)
         omega = self.factor[eye]
-        volume = self.chamber_volume(eye)
-        for i in range(first, end):
+        for i in range(start, end):
             self.wall_rough[i] = self.aqueous.smoother.roughness_at(i, self.aqueous.continuity_row)
             self.ring[i] = self.cornea.volume_gradient(eye, i)
         sweep = 0
         residual = ti.math.inf
         going = True
-        broken = 0
         while going:
-            top = self.velocity_floor[eye]
-            for i in range(first, end):
+            top, swept = self.velocity_floor[eye], 0.0
+            for i in range(start, end):
                 after = self.cornea.velocity[i] + 0.5 * dt * (self.cornea.acceleration[i] + self.guess[i])
                 self.wall_velocity[i] = self.cornea.held(eye, i, 0.5 * (self.cornea.velocity[i] + after))
                 top = ti.max(top, after.norm())
-            if self.aqueous.sealed[eye] == 0:
-                swept = 0.0
-                for i in range(first, end):
-                    swept += self.ring[i].dot(self.wall_velocity[i])
-                self.aqueous.outflow[eye] = -swept / volume
-            for i in range(first, end):
+            for i in range(start, end):
                 self.aqueous.velocity[i] = self.aqueous.meet_wall(eye, i, self.cornea.place, self.wall_velocity[i])
-            for i in range(first, end):
+            if self.aqueous.sealed[eye] == 0:
+                for i in range(start, end):
+                    swept += self.ring[i].dot(self.wall_velocity[i])
+                sums = self.team.sum(eye, lane, ti.Vector([swept, 0.0]))
+                if lane == 0:
+                    self.aqueous.outflow[eye] = -sums[0] / volume
+            # a node's divergence asks for the velocities of its neighbours
+            self.team.meet(eye)
+            for i in range(start, end):
                 divergence = self.aqueous.operators.divergence_at(i, self.aqueous.place, self.aqueous.velocity)
                 self.wall_pressure[i] = (
                     self.aqueous.pressure[i]
@@ -195,8 +227,8 @@ class Coupling:
                     + dt * self.aqueous.pressure_rate(eye, i, divergence, self.wall_rough[i], self.wall_velocity)
                 )
             residual = 0.0
-            square, product = 0.0, 0.0
-            for i in range(first, end):
+            square, product, broken = 0.0, 0.0, 0.0
+            for i in range(start, end):
                 force = self.cornea.force_solid[i] + self.cornea.force_air[i] + self.wall_pressure[i] * self.ring[i]
                 miss = self.cornea.held(eye, i, force / self.cornea.mass[i]) - self.guess[i]
                 change = miss - self.last_miss[i]
@@ -206,10 +238,14 @@ class Coupling:
                 residual = ti.max(residual, change_of_velocity)
                 # a maximum forgets NaN
                 if ti.math.isnan(change_of_velocity):
-                    broken = 1
+                    broken = 1.0
                 self.miss[i] = miss
-            residual /= top
-            if broken == 1:
+            # from here on all lanes know the same, and go the same way
+            sums, tops, _ = self.team.combine(
+                eye, lane, ti.Vector([square, product, broken]), ti.Vector([residual, top]), ti.Vector([0, 0])
+            )
+            square, product, residual = sums[0], sums[1], tops[0] / tops[1]
+            if sums[2] > 0.0:
                 residual = ti.math.inf
             sweep += 1
             if self.iterated[eye] == 1:
@@ -218,17 +254,18 @@ class Coupling:
                 if going:
                     if self.aitken[eye] == 1 and sweep > 1 and square > 0.0:
                         omega = -omega * product / square
-                    for i in range(first, end):
+                    for i in range(start, end):
                         self.guess[i] += omega * self.miss[i]
                         self.last_miss[i] = self.miss[i]
             else:
                 going = False
-                for i in range(first, end):
+                for i in range(start, end):
                     self.guess[i] += self.miss[i]
-        if self.iterated[eye] == 1 and not (residual <= self.tolerance[eye]):
-            self.status[eye] = NOT_CONVERGED
-        self.sweeps[eye] = ti.max(self.sweeps[eye], sweep)
-        self.worst_residual[eye] = ti.max(self.worst_residual[eye], residual)
+        if lane == 0:
+            if self.iterated[eye] == 1 and not (residual <= self.tolerance[eye]):
+                self.status[eye] = NOT_CONVERGED
+            self.sweeps[eye] = ti.max(self.sweeps[eye], sweep)
+            self.worst_residual[eye] = ti.max(self.worst_residual[eye], residual)
 
     @ti.func
     def _end_cornea_step(self, eye, i, dt):
@@ -239,71 +276,151 @@ class Coupling:
     @ti.func
     def chamber_volume(self, eye):
         """Volume [m^3] of the chamber under the present cornea."""
-        return self.aqueous.rest_volume[eye] + (
-            self.cornea.enclosed_volume(eye, self.cornea.place) - self.rest_enclosed[eye]
-        )
+        return self.volume_over(eye, self.cornea.enclosed_volume(eye, self.cornea.place))
 
     @ti.func
-    def _settle_pressure(self, eye, dt):
-        self.aqueous.pressure_shift[eye] = self.aqueous.missing_pressure(eye, self.chamber_volume(eye), dt)
+    def volume_over(self, eye, enclosed):
+        """Volume [m^3] of the chamber under a cornea that encloses so much over the limbus plane."""
+        return self.aqueous.rest_volume[eye] + (enclosed - self.rest_enclosed[eye])
 
     @ti.func
-    def step_cornea(self, eye, puff, dt):
-        """Steps 1 and 3 of an eye, and the state of its cornea at the end of the step."""
-        self._move_cornea(eye, puff, dt)
-        self._settle_pressure(eye, dt)
-        self._match_wall(eye, dt)
-        for i in range(self.aqueous.first[eye], self.aqueous.first[eye] + self.aqueous.wall_count[eye]):
+    def match_wall(self, eye, lane, dt, pressure, weight):
+        """Mean pressure and step 3, by a lane, and the state of the cornea at the end of the step.
+
+        pressure, weight: the lane's share of `Aqueous.pressure_sums`.
+        """
+        enclosed = self.cornea.enclosed_volume(eye, self.cornea.place, self.team, lane)
+        sums = self.team.sum(eye, lane, ti.Vector([enclosed, pressure, weight]))
+        volume = self.volume_over(eye, sums[0])
+        if lane == 0:
+            # the lanes meet before anyone asks for it
+            self.aqueous.pressure_shift[eye] = self.aqueous.add_pressure(eye, volume, dt, sums[1] / sums[2])
+        self._match_wall(eye, lane, dt, volume)
+        start, end = self.team.share(self.cornea.first[eye], self.cornea.last[eye] + 1, lane)
+        for i in range(start, end):
             self._end_cornea_step(eye, i, dt)
-        self.cornea.half_step[eye] = 0.5 * dt
+        if lane == 0:
+            self.cornea.half_step[eye] = 0.5 * dt
 
     @ti.func
-    def march(self, eye, k, plan: ti.template()):
-        """All steps of an eye on one thread: row k of a plan (`plan_of`)."""
+    def march(self, eye, lane, k, plan: ti.template()):
+        """All steps of an eye by its team: row k of a plan (`plan_of`)."""
         steps, dt, kick_dt = int(plan[k, 1]), float(plan[k, 2]), float(plan[k, 3])
-        first, end = self.aqueous.first[eye], self.aqueous.first[eye] + self.aqueous.count[eye]
+        first = self.aqueous.first[eye]
+        start, end = self.team.share(first, first + self.aqueous.count[eye], lane)
         for step in range(steps):
             if self.status[eye] == RUNNING:
                 if step > 0:
                     kick_dt = dt
-                for i in range(first, end):
+                for i in range(start, end):
                     self.aqueous.kick(eye, i, kick_dt, self.cornea.velocity)
-                self.step_cornea(eye, float(plan[k, 4 + step]), dt)
-                for i in range(first, end):
+                # step 1 reads and writes nothing of this; all meet in it
+                self.move_wall(eye, lane, float(plan[k, 4 + step]), dt)
+                pressure, weight = self.aqueous.pressure_sums(eye, lane, self.team.lanes)
+                self.match_wall(eye, lane, dt, pressure, weight)
+                # the last meeting has been before the wall's last guess, of which nothing is read here
+                for i in range(start, end):
                     self.aqueous.compress(eye, i, dt, self.wall_velocity)
+                self.team.meet(eye)
 
 
 def _launches(coupling):
-    """All steps of eyes on one thread, and one step of all eyes, each of its passes in parallel over all nodes.
+    """All steps of eyes by their teams, and one step of all eyes, each of its passes in parallel over all nodes.
 
     Closures, since a launch of a method costs half as much again in Python.
     """
-    aqueous, cornea = coupling.aqueous, coupling.cornea
+    aqueous, cornea, team = coupling.aqueous, coupling.cornea, coupling.team
 
     @ti.kernel
     def march_all(plan: ti.types.ndarray()):
-        ti.loop_config(serialize=True)
-        for k in range(plan.shape[0]):
-            coupling.march(int(plan[k, 0]), k, plan)
+        if ti.static(team.lanes == 1):
+            ti.loop_config(serialize=True)
+            for k in range(plan.shape[0]):
+                coupling.march(int(plan[k, 0]), 0, k, plan)
+        else:
+            if ti.static(team.block):
+                ti.loop_config(block_dim=team.block)
+            for n in range(team.extent(plan.shape[0], 0)):
+                k, lane, _ = team.seat(n, plan.shape[0], 0)
+                if lane >= 0:
+                    coupling.march(int(plan[k, 0]), lane, k, plan)
 
+    eyes, parts = cornea.first.shape[0], PARTS
+
+    @ti.func
+    def runs(eye, step, plan: ti.template()):
+        """Whether an eye takes this step of its row."""
+        return step < plan[eye, 1] and coupling.status[eye] == RUNNING
+
+    @ti.func
+    def kick(i, step, plan: ti.template()):
+        eye = aqueous.neighbours.eye_of[i]
+        if runs(eye, step, plan):
+            kick_dt = float(plan[eye, 2])
+            if step == 0:
+                kick_dt = float(plan[eye, 3])
+            aqueous.kick(eye, i, kick_dt, cornea.velocity)
+
+    @ti.func
+    def compress(i, plan: ti.template()):
+        eye = aqueous.neighbours.eye_of[i]
+        if coupling.going[eye] == 1:
+            aqueous.compress(eye, i, float(plan[eye, 2]), coupling.wall_velocity)
+
+    # row k of a plan is that of eye k
     @ti.kernel
-    def step_all(step: int, plan: ti.types.ndarray()):
-        # row k of the plan is that of eye k
+    def step_by_threads(step: int, plan: ti.types.ndarray()):
         for i in range(aqueous.neighbours.total[None]):
-            eye = aqueous.neighbours.eye_of[i]
-            if step < plan[eye, 1] and coupling.status[eye] == RUNNING:
-                kick_dt = float(plan[eye, 2])
-                if step == 0:
-                    kick_dt = float(plan[eye, 3])
-                aqueous.kick(eye, i, kick_dt, cornea.velocity)
+            kick(i, step, plan)
+        # not worth waking other threads for
+        ti.loop_config(serialize=True)
         for eye in range(plan.shape[0]):
             coupling.going[eye] = 0
-            if step < plan[eye, 1] and coupling.status[eye] == RUNNING:
+            if runs(eye, step, plan):
                 coupling.going[eye] = 1
-                coupling.step_cornea(eye, float(plan[eye, 4 + step]), float(plan[eye, 2]))
+                coupling.move_wall(eye, 0, float(plan[eye, 4 + step]), float(plan[eye, 2]))
+                pressure, weight = aqueous.pressure_sums(eye, 0, 1)
+                coupling.match_wall(eye, 0, float(plan[eye, 2]), pressure, weight)
         for i in range(aqueous.neighbours.total[None]):
-            eye = aqueous.neighbours.eye_of[i]
-            if coupling.going[eye] == 1:
-                aqueous.compress(eye, i, float(plan[eye, 2]), coupling.wall_velocity)
+            compress(i, plan)
 
-    return march_all, step_all
+    @ti.kernel
+    def step_by_teams(step: int, plan: ti.types.ndarray()):
+        # loops go over the capacity: how many nodes there are would have to be asked first, by a launch of its own.
+        # Beside the nodes' velocities step 1, and the sum of the mean pressure in parts
+        if ti.static(team.block):
+            ti.loop_config(block_dim=team.block)
+        for n in range(team.extent(eyes, eyes * parts + aqueous.capacity)):
+            eye, lane, other = team.seat(n, eyes, eyes * parts + aqueous.capacity)
+            if eye >= 0:
+                if lane >= 0 and runs(eye, step, plan):
+                    coupling.move_wall(eye, lane, float(plan[eye, 4 + step]), float(plan[eye, 2]))
+            elif other < eyes * parts:
+                eye, part = other // parts, other % parts
+                if runs(eye, step, plan):
+                    total, weight = aqueous.pressure_sums(eye, part, parts)
+                    coupling.pressure_part[eye, part] = ti.Vector([total, weight])
+            elif other - eyes * parts < aqueous.neighbours.total[None]:
+                kick(other - eyes * parts, step, plan)
+        if ti.static(team.block):
+            ti.loop_config(block_dim=team.block)
+        for n in range(team.extent(eyes, 0)):
+            eye, lane, _ = team.seat(n, eyes, 0)
+            if lane >= 0:
+                going = runs(eye, step, plan)
+                # nobody says how the step ended before all have asked whether there is one
+                team.meet(eye)
+                if lane == 0:
+                    coupling.going[eye] = going
+                if going:
+                    first, end = team.share(0, parts, lane)
+                    pressure, weight = 0.0, 0.0
+                    for part in range(first, end):
+                        pressure += coupling.pressure_part[eye, part][0]
+                        weight += coupling.pressure_part[eye, part][1]
+                    coupling.match_wall(eye, lane, float(plan[eye, 2]), pressure, weight)
+        for i in range(aqueous.capacity):
+            if i < aqueous.neighbours.total[None]:
+                compress(i, plan)
+
+    return march_all, step_by_teams if team.lanes > 1 else step_by_threads

@@ -25,7 +25,9 @@ class Motion:
             self.aqueous.move_node(i, self.cornea.rest, wall_place)
 
     @ti.func
-    def move_eye(self, eye):
-        """The same for the nodes of one eye."""
-        for i in range(self.aqueous.first[eye], self.aqueous.first[eye] + self.aqueous.count[eye]):
+    def move_eye(self, eye, team: ti.template(), lane):
+        """The same for a lane's share of the nodes of one eye."""
+        first = self.aqueous.first[eye]
+        start, end = team.share(first, first + self.aqueous.count[eye], lane)
+        for i in range(start, end):
             self.aqueous.move_node(i, self.cornea.rest, self.cornea.place)

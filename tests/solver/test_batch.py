@@ -10,7 +10,7 @@ import pytest
 from taichi_eye import backend
 from taichi_eye.errors import RunStopped
 from taichi_eye.scene import load_scene
-from taichi_eye.solver import coupling, sample
+from taichi_eye.solver import coupling
 from taichi_eye.solver.batch import Batch
 from taichi_eye.solver.case import clouds_of
 from taichi_eye.solver.simulation import Simulation
@@ -107,8 +107,7 @@ def test_the_order_of_eyes_does_not_matter(alone):
 
 def test_loops_over_all_nodes_agree_with_an_eye_to_a_thread_to_rounding(alone, monkeypatch):
     # the way of a GPU: eyes that need fewer steps wait
-    for module in (coupling, sample):
-        monkeypatch.setattr(module, "SERIAL_NODES", 0)
+    monkeypatch.setattr(coupling, "SERIAL_NODES", 0)
     monkeypatch.setattr(backend, "threads", lambda: len(EYES) + 1)
     for outcome, (traces, *_) in zip(Batch([scene(overrides) for overrides in EYES]).run(), alone):
         for column, values in traces.items():
