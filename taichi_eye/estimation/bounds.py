@@ -20,6 +20,7 @@ def at_truth(problem: Problem, truth: Mapping[str, float]) -> float:
     """The least standard deviation [mmHg] of the IOP that an unbiased estimate can have at the truth."""
     names = problem.before.names
     place = np.log([truth[name] for name in names])
+    problem.slopes(place, anew=True)
     covariance = np.linalg.inv(problem.information(place) + problem.before.precision)
     k = names.index(IOP)
     return truth[IOP] * float(np.sqrt(covariance[k, k]))
