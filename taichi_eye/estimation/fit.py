@@ -174,7 +174,7 @@ class Problem:
     def slopes(self, place: np.ndarray, anew: bool = False) -> np.ndarray:
         """Derivatives of the prediction and its defect [n, unknowns]; anew: those of the place itself, no others."""
         known = self._known_slopes(place, anew) or self._taken_slopes(place)
-        if not any(known is one for one in self._slopes):
+        if np.isfinite(known.shown).all() and not any(known is one for one in self._slopes):
             self._slopes.append(known)
         return known.matrix + self.defect.slopes
 

@@ -11,7 +11,7 @@ puff     the same with a puff wrong by 1.5 % and a thickness wrong by 5 um, both
 films    IOP and tissue from rendered, noisy, compressed films, the puff known
 others   traces by another model than is fitted: no relaxation, other puffs, a membrane; with everything free and the
          model error that is the default. A refusal is honest, so it counts as covered
-time     of one eye, everything in it, from the start of the search to the last profile
+time     of an eye, the slowest of three, from the start of the search to the last profile, kernels compiled before
 
 RMS is of the estimate less the truth; the bound is that of Cramer and Rao, at the truth, with what is declared.
 """
@@ -45,6 +45,7 @@ from taichi_eye.estimation.unknowns import (
     OUT_OF_PLANE,
     PUFF,
     RADIUS,
+    RETREAT,
     THICKNESS,
     WIDTH,
     beforehand,
@@ -53,7 +54,7 @@ from taichi_eye.estimation.unknowns import (
 )
 from taichi_eye.scene import Scene
 
-EYES, SEED = 40, 14
+EYES, SEED, TIMED = 40, 14, 3
 NOISE_MM = 0.010
 PUFF_SD, THICKNESS_SD_UM = 0.015, 5.0
 EVENLY = {IOP: (8.0, 35.0), RADIUS: (7.2, 8.4), THICKNESS: (480.0, 620.0)}
@@ -334,16 +335,26 @@ def _others(scene, count, seed, stage):
 
 
 def _time(scene, count, seed, stage):
-    eye = _population(scene, 1, seed)[0]
-    seen, rows = eye.trace("eye", np.random.default_rng(seed + 7)), []
-    nothing = {name: value for name, value in _known(eye.truth).items() if name == "whole_eye"}
-    for label, known, limit in (("IOP alone", _known(eye.truth), 10.0), ("everything free", nothing, 60.0)):
-        stage(label)
-        estimate(seen, scene, known, model_error_um=0.0)  # kernels compiled
-        started, used = time.perf_counter(), time.process_time()
-        found = estimate(seen, scene, known, model_error_um=0.0)
-        wall, used = time.perf_counter() - started, time.process_time() - used
-        note = f"{found.rounds} runs of {found.rung}, {found.runs} cheap ones; processor time {used:.1f} s"
+    eyes, noise, rows = _population(scene, TIMED, seed), np.random.default_rng(seed + 7), []
+    seen = [eye.trace(f"eye {k}", noise) for k, eye in enumerate(eyes)]
+    stage("kernels")
+    estimate(seen[0], scene, _known(eyes[0].truth), model_error_um=0.0)  # compiled
+    for label, limit in (("IOP alone", 10.0), ("everything free", 60.0)):
+        took = []
+        for eye, trace in zip(eyes, seen):
+            stage(f"{label}, {trace.name}")
+            known = _known(eye.truth)
+            if label != "IOP alone":
+                known = {name: value for name, value in known.items() if name == RETREAT}
+            started, used = time.perf_counter(), time.process_time()
+            found = estimate(trace, scene, known, model_error_um=0.0)
+            took.append((time.perf_counter() - started, time.process_time() - used, found))
+        wall, used, found = max(took, key=lambda one: one[0])
+        rest = ", ".join(f"{one[0]:.1f}" for one in sorted(took, key=lambda one: one[0])[:-1])
+        note = (
+            f"the slowest of {len(took)}, the others {rest} s; {found.rounds} runs of {found.rung}, {found.runs} cheap "
+            f"ones; processor time {used:.1f} s"
+        )
         rows.append(at_most(f"time of an eye, {label}", wall, "s", limit, note))
     return rows, []
 

@@ -56,6 +56,30 @@ def test_intervals_of_many_eyes_hold_the_truth_as_often_as_they_say(monkeypatch)
     assert 0.2 < np.mean(probability) < 0.8
 
 
+def test_derivatives_serve_at_other_places_as_long_as_they_foretell_what_is_shown_there(monkeypatch):
+    use(monkeypatch)
+    problem = problem_of(seen(scene_with(BASE, TRUTH), 12), BASE, ELSE, model_error_um=0.0)
+    place = np.log([TRUTH[name] for name in problem.before.names])
+    near = place + np.random.default_rng(13).uniform(0.03, 0.04, len(place))
+    problem.slopes(place)
+    runs = problem.runs
+    bent = problem.slopes(near)
+    assert problem.runs == runs + 1  # that of the place itself
+    assert bent @ (near - place) == pytest.approx(problem.predict(near) - problem.predict(place), abs=1e-12)
+    # by central differences of the closed form
+    exact = np.array(
+        [(problem.predict(near + step) - problem.predict(near - step)) / 2e-4 for step in 1e-4 * np.eye(len(place))]
+    ).T
+    anew = problem.slopes(near, anew=True)
+    assert np.linalg.norm(anew - exact) < 0.02 * np.linalg.norm(exact)
+    assert np.linalg.norm(bent - exact) < 0.2 * np.linalg.norm(exact)
+    # both are kept, and the better serves
+    runs = problem.runs
+    assert problem.slopes(near) == pytest.approx(anew) and problem.runs == runs
+    problem.slopes(place + [0.7, -0.5, 0.5])
+    assert problem.runs == runs + 1 + len(place)  # too far to foretell anything
+
+
 def test_the_end_is_that_of_the_fine_model_though_the_search_is_the_cheap_ones(monkeypatch):
     use(monkeypatch, lambda scene: motion(scene, late_ms=0.1, deeper=1.01))
     scene = scene_with(BASE, TRUTH)
