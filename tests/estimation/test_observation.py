@@ -125,3 +125,22 @@ def test_nothing_there_is_said(tmp_path):
     with pytest.raises(SceneError, match="no such file"):
         read(tmp_path / "no.csv", BASE)
     assert issubclass(NoEstimate, SceneError)
+
+
+def test_a_model_error_has_the_shape_of_the_motion_and_not_of_its_noise():
+    # where the noise is part of the shape, a dent that is too shallow is likelier than the eye's own
+    error, costs = ModelError(0.1, {}, 0.1), {0.0: [], 0.5: [], 1.0: []}
+    for seed in range(8):
+        noise = 0.01 * np.random.default_rng(seed).standard_normal(len(TIMES_MS))
+        history = of_history("noisy", TIMES_MS, DEPTH + noise, False, 0.01)
+        covariance = history.noise() + history.model_error(error)
+        for lost, found in costs.items():
+            off = (1.0 - lost) * DEPTH - history.values
+            found.append(off @ np.linalg.solve(covariance, off))
+    own, half, nothing = (np.mean(found) for found in costs.values())
+    # by the same model error of the dent without noise
+    clean = of_history("clean", TIMES_MS, DEPTH, False, 0.01)
+    covariance = clean.noise() + clean.model_error(error)
+    assert own == pytest.approx(np.trace(np.linalg.solve(covariance, clean.noise())), rel=0.12)
+    whole = DEPTH @ np.linalg.solve(covariance, DEPTH)
+    assert nothing - own == pytest.approx(whole, rel=0.15) and half - own == pytest.approx(0.25 * whole, rel=0.3)
