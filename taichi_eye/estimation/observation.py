@@ -7,7 +7,7 @@ STATIONS_MM, from a film) and `ParameterRow` (clinical parameters of one examina
     values [n], groups [n]   the data in mm or in their own units, and the part of the puff or the parameter each shows
     predict(motion)          the same of a motion (`taichi_eye.estimation.motion`), NaN where it does not show it
     noise()                  covariance [n, n] of what measuring adds
-    model_error(model)       covariance [n, n] of what the model gets wrong
+    model_error(model, shown) covariance [n, n] of what the model gets wrong of a motion that shows the values `shown`
     shown                    unknowns that the film itself shows (thickness, radius)
 
 Deflections are relative to the flanks, so the retreat of the whole eye drops out of them as it does in the clinic.
@@ -62,8 +62,8 @@ class Observation(ABC):
         """Covariance of what was measured."""
 
     @abstractmethod
-    def model_error(self, model: ModelError) -> np.ndarray:
-        """Covariance of what the model gets wrong."""
+    def model_error(self, model: ModelError, shown: np.ndarray) -> np.ndarray:
+        """Covariance of what the model gets wrong of a motion that shows these values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +86,12 @@ class ApexHistory(Observation):
     def noise(self) -> np.ndarray:
         return self.noise_mm**2 * np.eye(len(self.values))
 
-    def model_error(self, model: ModelError) -> np.ndarray:
-        depth, pace = (_smooth(self.time_ms, self.values, derivative) for derivative in (0, 1))
-        size = model.history_mm * errors.envelope(depth)
+    def model_error(self, model: ModelError, shown: np.ndarray) -> np.ndarray:
+        size = model.history_mm * errors.envelope(shown)
         apart = self.time_ms[:, None] - self.time_ms
         passing = size[:, None] * size * errors.correlation(apart, errors.TIME_MS)
-        return passing + model.history_mm**2 * errors.lasting(depth, pace)
+        pace = np.gradient(moving(self.time_ms, shown, self.time_ms, 1.0, 2), self.time_ms)
+        return passing + model.history_mm**2 * errors.lasting(shown, pace)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,10 +132,9 @@ class FilmSurface(Observation):
         white = self.noise_mm**2 * np.eye(len(self.values))
         return white + _reading(self.values, self.time_ms[:, None] - self.time_ms, self.x_mm[:, None] - self.x_mm)
 
-    def model_error(self, model: ModelError) -> np.ndarray:
+    def model_error(self, model: ModelError, shown: np.ndarray) -> np.ndarray:
         apex = self.x_mm == 0.0
-        shown = self.time_ms[apex]
-        depth = np.interp(self.time_ms, shown, _smooth(shown, self.values[apex]))
+        depth = np.interp(self.time_ms, self.time_ms[apex], shown[apex])
         size = model.history_mm * errors.envelope(depth)
         along = errors.correlation(self.x_mm[:, None] - self.x_mm, errors.REACH_MM)
         return size[:, None] * size * errors.correlation(self.time_ms[:, None] - self.time_ms, errors.TIME_MS) * along
@@ -168,8 +167,8 @@ class ParameterRow(Observation):
     def noise(self) -> np.ndarray:
         return np.diag(self.deviations**2)
 
-    def model_error(self, model: ModelError) -> np.ndarray:
-        return np.diag([model.of(name, value) ** 2 for name, value in zip(self.names, self.values)])
+    def model_error(self, model: ModelError, shown: np.ndarray) -> np.ndarray:
+        return np.diag([model.of(name, value) ** 2 for name, value in zip(self.names, shown)])
 
 
 def of_history(
@@ -215,16 +214,6 @@ def of_row(row: Row, interval_ms: float, air_mmhg, age_years: float, shown: dict
         air_mmhg,
         age_years,
     )
-
-
-def _smooth(time_ms: np.ndarray, values: np.ndarray, derivative: int = 0) -> np.ndarray:
-    """The course of a history without its noise, or its pace.
-
-    A model error has the shape of the motion. With the shape of what was measured it would have that of the noise, too,
-    and too shallow a dent would be free of it: of an eye 0.48 mm deep no motion at all was then twice as likely as its
-    own.
-    """
-    return moving(time_ms, values, time_ms, errors.TIME_MS, 2, derivative)
 
 
 def stations(x_mm: np.ndarray, deflection_mm: np.ndarray) -> np.ndarray:

@@ -116,7 +116,19 @@ def test_what_no_eye_could_do_is_refused_and_with_a_model_error_the_intervals_wi
     assert any("larger" in text or "times as large" in text for text in wide.warnings)
     wild = of_history("wild", TIMES_MS, bent * np.cos(TIMES_MS) ** 2, False, 0.01)
     with pytest.raises(NoEstimate, match="the nearest is .* um off"):
-        estimate(wild, BASE, known, model_error_um=20.0)
+        estimate(wild, BASE, known, model_error_um=100.0)
+
+
+def test_a_model_error_does_not_take_noise_for_a_dent_too_shallow(monkeypatch):
+    use(monkeypatch)
+    off = []
+    for seed in range(6):
+        known = {**ELSE, "in_plane": (1.25, 0.4), "globe": (0.85, 0.3)}
+        problem = problem_of(seen(scene_with(BASE, TRUTH), seed), BASE, known, model_error_um=100.0)
+        solution = solve(problem)
+        off.append((solution.place[0] - np.log(19.3)) / np.sqrt(solution.covariance[0, 0]))
+    # the intervals have the model error, which these eyes have not: what noise does is little beside it
+    assert abs(np.mean(off)) < 0.15 and np.max(np.abs(off)) < 0.5
 
 
 def test_what_is_known_narrows_and_what_is_not_costs(monkeypatch):
@@ -165,7 +177,7 @@ def test_the_sum_with_a_larger_model_error_is_that_of_the_widened_problem(monkey
     assert problem.factor == 1.2 and found < problem.cost(place)
     problem.widen(2.5, left_out)
     assert found == pytest.approx(problem.cost(place), rel=1e-9)
-    wrong = problem.seen.model_error(problem.model)
+    wrong = problem.seen.model_error(problem.model, problem.seen.values)
     if not left_out:
         assert problem.covariance == pytest.approx(problem.seen.noise() + 2.5**2 * wrong, rel=1e-12)
 
