@@ -13,7 +13,9 @@ others   traces by another model than is fitted: no relaxation, other puffs, a m
          model error that is the default. A refusal is honest, so it counts as covered
 time     of an eye, the slowest of three, from the start of the search to the last profile, kernels compiled before
 
-RMS is of the estimate less the truth; the bound is that of Cramer and Rao, at the truth, with what is declared.
+RMS is of the estimate less the truth; the bound is that of Cramer and Rao, at the truth, with what is declared. Beside
+the intervals that hold the truth stands how many of the best linear estimates of the same data would: what is left of
+the two numbers apart is the estimate's own error, what they share is the noise that was drawn.
 """
 
 from __future__ import annotations
@@ -33,9 +35,9 @@ from taichi_eye.bench import bench
 from taichi_eye.bench.rows import Row, at_least, at_most, figure
 from taichi_eye.errors import FilmError, RunStopped, SceneError
 from taichi_eye.estimation import model_error
-from taichi_eye.estimation.bounds import FRAMES, INTERVAL_MS, at_truth
+from taichi_eye.estimation.bounds import FRAMES, INTERVAL_MS, at_truth, best_at_truth
 from taichi_eye.estimation.estimate import Estimate, estimate, estimate_many, problem_of
-from taichi_eye.estimation.fit import Problem
+from taichi_eye.estimation.fit import SD_95, Problem
 from taichi_eye.estimation.motion import Motion, fine_apices
 from taichi_eye.estimation.observation import ApexHistory, of_history
 from taichi_eye.estimation.unknowns import (
@@ -122,8 +124,8 @@ def _population(scene: Scene, count: int, seed: int) -> list[Made]:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A part's estimates beside the truth: arrays [eyes], NaN where refused; covered: by the 95 % interval; bounds: or
-    None."""
+    """A part's estimates beside the truth: arrays [eyes], NaN where refused; covered: by the 95 % interval; bounds, and
+    the estimates that reach them: or None."""
 
     truth: np.ndarray
     estimate: np.ndarray
@@ -131,6 +133,7 @@ class Outcome:
     covered: np.ndarray
     refused: int
     bounds: np.ndarray | None = None
+    best: np.ndarray | None = None
 
     @property
     def off(self) -> np.ndarray:
@@ -143,7 +146,7 @@ class Outcome:
         return float(np.sqrt(np.mean(self.off**2))) if len(self.off) else math.nan
 
 
-def outcome(truths: Sequence[float], found: Sequence, bounds=None) -> Outcome:
+def outcome(truths: Sequence[float], found: Sequence, bounds=None, best=None) -> Outcome:
     """Of estimates or refusals."""
     value, deviation, covered = (np.full(len(truths), math.nan) for _ in range(3))
     for k, (truth, one) in enumerate(zip(truths, found)):
@@ -152,7 +155,8 @@ def outcome(truths: Sequence[float], found: Sequence, bounds=None) -> Outcome:
             value[k], deviation[k] = iop.value, iop.deviation
             covered[k] = iop.range95[0] <= truth <= iop.range95[1]
     refused = int(np.isnan(value).sum())
-    return Outcome(np.array(truths), value, deviation, covered, refused, None if bounds is None else np.array(bounds))
+    bounds, best = (None if one is None else np.array(one) for one in (bounds, best))
+    return Outcome(np.array(truths), value, deviation, covered, refused, bounds, best)
 
 
 def coverage(found: Outcome, least: float) -> Row:
@@ -160,7 +164,15 @@ def coverage(found: Outcome, least: float) -> Row:
     count = len(found.truth)
     held = int(np.nansum(found.covered)) + (found.refused if least == COVERED_OTHERS else 0)
     wanted = math.floor(least * count)
-    return at_least(f"95 % intervals that hold the truth, of {count}", held, "", wanted, f"{found.refused} refused")
+    note = f"{found.refused} refused"
+    if found.best is not None:
+        ideal = int((np.abs(found.best - found.truth) <= SD_95 * found.bounds).sum())
+        apart = np.sqrt(np.nanmean(((found.estimate - found.best) / found.bounds) ** 2))
+        note += (
+            f"; the best linear estimates of the same noise hold it in {ideal}, and lie {apart:.2g} standard "
+            "deviations away (rms)"
+        )
+    return at_least(f"95 % intervals that hold the truth, of {count}", held, "", wanted, note)
 
 
 def measure(scene: Scene, count: int, seed: int, part: str, stage: Callable[[str], None]) -> tuple[list[Row], list]:
@@ -178,7 +190,8 @@ def _solved(eyes: Sequence[Made], problems: Sequence[Problem], stage) -> Outcome
     stage("the search")
     found = estimate_many(problems, lambda done: stage(f"{done} of {len(problems)} profiles"))
     bounds = [at_truth(problem, eye.truth) for problem, eye in zip(problems, eyes)]
-    return outcome([eye.truth[IOP] for eye in eyes], found, bounds)
+    best = [best_at_truth(problem, eye.truth, eye.motion) for problem, eye in zip(problems, eyes)]
+    return outcome([eye.truth[IOP] for eye in eyes], found, bounds, best)
 
 
 def _rows(found: Outcome, rms: float | None, over_bound: float | None) -> list[Row]:

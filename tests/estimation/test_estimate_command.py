@@ -8,10 +8,10 @@ import pytest
 from closed_form import TIMES_MS
 
 from taichi_eye.cli import main
-from taichi_eye.estimation.bounds import of_own_eye
-from taichi_eye.estimation.estimate import Estimate, estimate
+from taichi_eye.estimation.bounds import at_truth, best_at_truth, of_own_eye
+from taichi_eye.estimation.estimate import Estimate, estimate, problem_of
 from taichi_eye.estimation.motion import cheap
-from taichi_eye.estimation.observation import ParameterRow
+from taichi_eye.estimation.observation import ParameterRow, of_history
 from taichi_eye.estimation.parameters import REPEATABILITY
 from taichi_eye.estimation.unknowns import own_values, scene_with
 from taichi_eye.proof import estimates
@@ -184,6 +184,25 @@ def test_a_bound_falls_with_the_noise_and_with_what_is_known(scene_file):
     alone = {name: value for name, value in own_values(scene).items() if name != "iop_mmhg"}
     assert of_own_eye(scene, alone, 20.0) == pytest.approx(2.0 * of_own_eye(scene, alone, 10.0), rel=0.1)
     assert of_own_eye(scene, alone) < of_own_eye(scene, {}) < of_own_eye(scene, {}, model_error_um=30.0)
+
+
+def test_the_best_linear_estimate_is_as_far_off_as_the_noise_along_the_slopes(scene_file):
+    scene = load_scene(scene_file)
+    truth = {**own_values(scene), "iop_mmhg": 17.0}
+    motion, noise = cheap(scene_with(scene, truth)), 0.01 * np.random.default_rng(8).standard_normal(len(TIMES_MS))
+    seen = of_history("eye", TIMES_MS, np.interp(TIMES_MS, motion.time_ms, motion.apex_mm) + noise, False, 0.01)
+    problem = problem_of(seen, scene, {n: v for n, v in truth.items() if n != "iop_mmhg"}, model_error_um=0.0)
+    ends = [
+        np.interp(TIMES_MS, one.time_ms, one.apex_mm)
+        for one in (cheap(scene_with(scene, {**truth, "iop_mmhg": 17.0 * np.exp(step)})) for step in (0.003, -0.003))
+    ]
+    slope = (ends[0] - ends[1]) / 0.006
+    best = best_at_truth(problem, truth, motion)
+    assert np.log(best / 17.0) == pytest.approx(slope @ noise / (slope @ slope), rel=0.05, abs=1e-5)
+    assert at_truth(problem, truth) == pytest.approx(17.0 * 0.01 / np.linalg.norm(slope), rel=0.05)
+    # and the estimate is that one, to a tenth of its standard deviation
+    found = estimate(seen, scene, {n: v for n, v in truth.items() if n != "iop_mmhg"}, model_error_um=0.0)
+    assert abs(found["iop_mmhg"].value - best) < 0.1 * found["iop_mmhg"].deviation
 
 
 def test_the_package_s_own_name_is_the_function():
