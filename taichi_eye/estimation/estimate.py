@@ -156,13 +156,13 @@ def estimate(
     return finished(problem, solve(problem, finely), started, film, notes)
 
 
-def estimate_many(problems: Sequence[Problem], tell: Callable[[int], None] = lambda done: None) -> list:
+def estimate_many(problems: Sequence[Problem], tell: Callable[[str], None] = lambda text: None) -> list:
     """Estimates, or the NoEstimate that refuses one, of many histories: their fine runs side by side."""
     started = time.perf_counter()
     out = []
-    for number, (problem, solution) in enumerate(zip(problems, solve_many(problems)), 1):
+    for number, (problem, solution) in enumerate(zip(problems, solve_many(problems, tell)), 1):
+        tell(f"profile {number} of {len(problems)}")
         out.append(solution if isinstance(solution, SceneError) else finished(problem, solution, started))
-        tell(number)
     return out
 
 

@@ -282,14 +282,18 @@ def solve(problem: Problem, finely: bool = True) -> Solution:
         motion = fine(scene)
 
 
-def solve_many(problems: Sequence[Problem]) -> list[Solution | NoEstimate]:
+def solve_many(
+    problems: Sequence[Problem], tell: Callable[[str], None] = lambda text: None
+) -> list[Solution | NoEstimate]:
     """Estimates of many eyes from histories of their apices, their fine runs side by side."""
     found: list[Solution | NoEstimate | None] = [None] * len(problems)
     solving = {number: _solving(problem, True) for number, problem in enumerate(problems)}
     motions: dict[int, Motion | None] = dict.fromkeys(solving)
+    rounds = 0
     while solving:
-        asked = {}
-        for number in list(solving):
+        asked, rounds = {}, rounds + 1
+        for done, number in enumerate(list(solving), 1):
+            tell(f"search, round {rounds}, {done} of {len(motions)} eyes")
             try:
                 asked[number] = solving[number].send(motions[number])
             except StopIteration as end:
@@ -298,6 +302,7 @@ def solve_many(problems: Sequence[Problem]) -> list[Solution | NoEstimate]:
                 found[number] = refusal
             if found[number] is not None:
                 del solving[number]
+        tell(f"{len(asked)} fine runs")
         motions = dict(zip(asked, fine_apices(list(asked.values()))))
     return found
 

@@ -1,13 +1,15 @@
 """The commands: what they write, what they refuse, and the study in a short form."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from closed_form import TIMES_MS
+from closed_form import BASE, TIMES_MS, motion, use
 
 from taichi_eye.cli import main
+from taichi_eye.errors import SceneError
 from taichi_eye.estimation.bounds import at_truth, best_at_truth, of_own_eye
 from taichi_eye.estimation.estimate import Estimate, estimate, problem_of
 from taichi_eye.estimation.motion import cheap
@@ -177,6 +179,33 @@ def test_the_study_in_a_short_form(scene_file, tmp_path, capsys):
         main(["estimates", str(scene_file), "--eyes", "0"])
     assert main(["estimates", str(scene_file), "--only", "nothing"]) == 2
     assert "estimates has alone" in capsys.readouterr().err
+
+
+def test_eyes_of_another_model_are_counted_as_right_wrong_and_refused(monkeypatch):
+    use(monkeypatch)
+    scene, number = BASE.but({"puff.time_course": "corvis"}), iter(range(9))
+    own = own_values(scene)
+    exactly = {name: value for name, value in own.items() if name != "iop_mmhg"}
+
+    def made(scene, count, seed, change):
+        eyes = []
+        for _ in range(count):
+            truth = {**own, "iop_mmhg": 15.0 + next(number)}
+            eyes.append(estimates.Made(truth, motion(scene_with(scene, truth))))
+        return eyes
+
+    def wrong(problems, tell):
+        # the first is right, the second is of another eye, the third is refused
+        found = [estimate(one.seen, BASE, exactly, model_error_um=0.0) for one in problems[:2]]
+        assert found[0].widened == 1.0
+        far = replace(found[1].quantities[0], range95=(40.0, 41.0), value=40.5, deviation=0.4)
+        return [found[0], replace(found[1], quantities=(far,), widened=2.0), SceneError("no eye")]
+
+    monkeypatch.setattr(estimates, "made", made)
+    monkeypatch.setattr(estimates, "estimate_many", wrong)
+    covered, told, sure = estimates.measure(scene, 3, 5, "others", lambda text: None)[0]
+    assert covered.value == 2 and told.value == 2 and sure.value == 1 and sure.holds is False
+    assert "1 hold the truth, 1 by an enlarged model error" in told.note and "refused" in told.note
 
 
 def test_a_bound_falls_with_the_noise_and_with_what_is_known(scene_file):
