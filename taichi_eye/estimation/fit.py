@@ -19,7 +19,8 @@ is that of Gauss and Laplace; the interval of the IOP is read off its profile, a
 
 The least value is that of chi^2 with as many degrees of freedom as data, less the unknowns of which nothing is known
 beforehand. Where there is a model error and the least is improbable (WIDEN_P), the model error is enlarged until the
-least is what it should be, at most by WIDEST; what is still improbable (REFUSED_P), or is so without a model error, is
+least is what it should be, at most by WIDEST; so it is where the eye is improbable by what was known beforehand alone.
+What is still improbable (REFUSED_P), or is so without a model error, is
 no eye of this model, and there is no estimate; nor is there one where the nearest eye is FAR_SHARE of the dent away.
 """
 
@@ -56,6 +57,7 @@ CHEAPEST = "membrane", "cavity"  # rungs that nothing is cheaper than
 LEFT_OUT = 0.5, 0.15  # of `CAVITY`: what added mass leaves out, and more to begin with
 DETOURS = 0.0, 0.05, 0.1  # of ln IOP, where a fine run is stopped: a shell folds less the higher its pressure
 WIDEN_P, REFUSED_P, WIDEST = 0.05, 1e-4, 3.0
+WIDENINGS, WIDER = 5, 1.5
 PROFILE_SD = 1.0, 2.1
 PROFILE_STEPS = 3
 GAIN = 0.05  # of the sum of squares, below which it is not made less
@@ -176,6 +178,14 @@ class Problem:
         """That sum; infinite where the model shows no such motion."""
         off = self.residuals(place)
         return float(off @ off) if np.isfinite(off).all() else np.inf
+
+    def agreement(self, place: np.ndarray) -> float:
+        """Probability that an eye is so far from what is known beforehand; 1 where nothing is.
+
+        Beside the sum of all squares, in which the many data, of which a model error takes up most, would hide it.
+        """
+        known, off = int((np.diag(self.before.precision) > 0.0).sum()), self._prior @ (place - self.before.mean)
+        return float(chi2.sf(off @ off, known)) if known else 1.0
 
     def slopes(self, place: np.ndarray, anew: bool = False) -> np.ndarray:
         """Derivatives of the prediction and its defect [n, unknowns]; anew: those of the place itself, no others."""
@@ -548,24 +558,37 @@ def _inverse(information: np.ndarray) -> np.ndarray:
 
 
 def _widened(problem: Problem, place: np.ndarray, degrees: int) -> np.ndarray:
-    """The place with a model error as large as the residuals ask for; NoEstimate where none explains them."""
-    for _ in range(3):
+    """The place with a model error as large as the residuals, and what was known beforehand, ask for; NoEstimate where
+    none explains them."""
+    for _ in range(WIDENINGS):
         cost = problem.cost(place)
-        if chi2.sf(cost, degrees) >= WIDEN_P:
+        improbable = chi2.sf(cost, degrees) < WIDEN_P
+        if not improbable and problem.agreement(place) >= WIDEN_P:
             return place
         if problem.factor >= WIDEST or problem.sums(place, 2.0 * WIDEST) >= problem.sums(place, problem.factor):
             break
-        excess = lambda factor: problem.sums(place, factor) - degrees
-        factor = WIDEST if excess(WIDEST) > 0.0 else float(brentq(excess, problem.factor, WIDEST, xtol=1e-2))
+        if improbable:
+            excess = lambda factor: problem.sums(place, factor) - degrees
+            factor = WIDEST if excess(WIDEST) > 0.0 else float(brentq(excess, problem.factor, WIDEST, xtol=1e-2))
+        else:
+            factor = min(WIDER * problem.factor, WIDEST)
         problem.widen(factor, problem.left_out)
         place = _best(problem, [place])
-    cost = problem.cost(place)
+    cost, before = problem.cost(place), problem.before
+    where = f", even with a model error {problem.factor:.1f} times as large" if problem.factor > 1.0 else ""
+    iop = float(np.exp(place[before.names.index(IOP)]))
     if chi2.sf(cost, degrees) < REFUSED_P:
-        where = f", even with a model error {problem.factor:.1f} times as large" if problem.factor > 1.0 else ""
-        iop = float(np.exp(place[problem.before.names.index(IOP)]))
         raise NoEstimate(
             f"{problem.seen.name}: no eye of this scene moves like that{where}: chi^2 {cost:.0f} at {degrees} degrees "
             f"of freedom; the nearest has {iop:.1f} mmHg. Check the units, the scene and its puff, or allow for a "
             "model error"
+        )
+    if problem.agreement(place) < REFUSED_P:
+        off = (place - before.mean) * np.sqrt(np.diag(before.precision))
+        worst = int(np.argmax(np.abs(off)))
+        raise NoEstimate(
+            f"{problem.seen.name}: only an eye unlike all that is known beforehand moves like that{where}: the nearest "
+            f"has {iop:.1f} mmHg and {before.names[worst]} {np.exp(place[worst]):.3g}, {abs(off[worst]):.1f} standard "
+            "deviations away. Check what is declared, the scene and its puff, or allow for a model error"
         )
     return place

@@ -119,6 +119,19 @@ def test_what_no_eye_could_do_is_refused_and_with_a_model_error_the_intervals_wi
         estimate(wild, BASE, known, model_error_um=100.0)
 
 
+def test_an_eye_unlike_what_is_known_has_wider_intervals_or_none(monkeypatch):
+    use(monkeypatch)
+    data = seen(scene_with(BASE, {**TRUTH, "in_plane": 1.45}), 15)
+    known = {**ELSE, "globe": 0.85}
+    like = estimate(data, BASE, {**known, "in_plane": (1.45, 0.1)}, model_error_um=15.0)
+    unlike = estimate(data, BASE, {**known, "in_plane": (1.0, 0.1)}, model_error_um=15.0)
+    assert like.widened == 1.0 and not like.warnings
+    assert unlike.widened >= 1.5 and unlike["iop_mmhg"].deviation > 1.3 * like["iop_mmhg"].deviation
+    # of one value alone, five standard deviations off, and hidden in the sum over 139 others
+    with pytest.raises(NoEstimate, match="only an eye unlike all that is known.* in_plane 1"):
+        estimate(data, BASE, {**known, "in_plane": (1.0, 0.067)}, model_error_um=0.0)
+
+
 def test_a_model_error_does_not_take_noise_for_a_dent_too_shallow(monkeypatch):
     use(monkeypatch)
     off = []
