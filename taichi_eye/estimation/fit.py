@@ -20,8 +20,8 @@ is that of Gauss and Laplace; the interval of the IOP is read off its profile, a
 The least value is that of chi^2 with as many degrees of freedom as data, less the unknowns of which nothing is known
 beforehand. Where there is a model error and the least is improbable (WIDEN_P), the model error is enlarged until the
 least is what it should be, at most by WIDEST; so it is where the eye is improbable by what was known beforehand alone.
-What is still improbable (REFUSED_P), or is so without a model error, is
-no eye of this model, and there is no estimate; nor is there one where the nearest eye is FAR_SHARE of the dent away.
+What WIDEST does not explain either, or is very improbable (REFUSED_P) without a model error, is no eye of this model,
+and there is no estimate; nor is there one where the nearest eye is FAR_SHARE of the dent away.
 """
 
 from __future__ import annotations
@@ -577,13 +577,14 @@ def _widened(problem: Problem, place: np.ndarray, degrees: int) -> np.ndarray:
     cost, before = problem.cost(place), problem.before
     where = f", even with a model error {problem.factor:.1f} times as large" if problem.factor > 1.0 else ""
     iop = float(np.exp(place[before.names.index(IOP)]))
-    if chi2.sf(cost, degrees) < REFUSED_P:
+    refused = WIDEN_P if problem.factor >= WIDEST else REFUSED_P
+    if chi2.sf(cost, degrees) < refused:
         raise NoEstimate(
             f"{problem.seen.name}: no eye of this scene moves like that{where}: chi^2 {cost:.0f} at {degrees} degrees "
             f"of freedom; the nearest has {iop:.1f} mmHg. Check the units, the scene and its puff, or allow for a "
             "model error"
         )
-    if problem.agreement(place) < REFUSED_P:
+    if problem.agreement(place) < refused:
         off = (place - before.mean) * np.sqrt(np.diag(before.precision))
         worst = int(np.argmax(np.abs(off)))
         raise NoEstimate(
