@@ -88,7 +88,7 @@ def draw_fit(found: Estimate) -> Figure:
     for width, label in ((SD_68, "68 %"), (SD_95, "95 %")):
         side.axhline(width**2, color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
         side.annotate(
-            label, (ends[1], width**2), (-2, 2), textcoords="offset points", ha="right", fontsize=8, color=GREY
+            label, (iop.value, width**2), (0, 2), textcoords="offset points", ha="center", fontsize=8, color=GREY
         )
     for value in iop.range95:
         if ends[0] <= value <= ends[1]:
