@@ -8,7 +8,7 @@ import numpy as np
 
 from taichi_eye.estimation.estimate import problem_of
 from taichi_eye.estimation.fit import Problem
-from taichi_eye.estimation.motion import cheap
+from taichi_eye.estimation.motion import Motion, cheap
 from taichi_eye.estimation.observation import of_history
 from taichi_eye.estimation.unknowns import IOP, own_values
 from taichi_eye.scene import Scene
@@ -18,11 +18,26 @@ FRAMES, INTERVAL_MS = 139, 0.2315
 
 def at_truth(problem: Problem, truth: Mapping[str, float]) -> float:
     """The least standard deviation [mmHg] of the IOP that an unbiased estimate can have at the truth."""
-    names = problem.before.names
-    place = np.log([truth[name] for name in names])
-    covariance = np.linalg.inv(problem.information(place) + problem.before.precision)
-    k = names.index(IOP)
-    return truth[IOP] * float(np.sqrt(covariance[k, k]))
+    place, covariance, _ = _linear(problem, truth)
+    k = problem.before.names.index(IOP)
+    return float(np.exp(place[k]) * np.sqrt(covariance[k, k]))
+
+
+def best_at_truth(problem: Problem, truth: Mapping[str, float], motion: Motion) -> float:
+    """The IOP [mmHg] of the estimate that reaches the bound: that of the problem taken for linear at the truth, whose
+    motion is given, with the very noise of the data."""
+    place, covariance, slopes = _linear(problem, truth)
+    noise = problem.whitened(problem.seen.values - problem.seen.predict(motion))
+    before = problem.before
+    step = covariance @ (problem.whitened(slopes).T @ noise + before.precision @ (before.mean - place))
+    return float(np.exp((place + step)[before.names.index(IOP)]))
+
+
+def _linear(problem: Problem, truth: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The truth's place, and covariance and derivatives of the data there."""
+    place = np.log([truth[name] for name in problem.before.names])
+    slopes = problem.slopes(place, anew=True) - problem.defect.slopes
+    return place, np.linalg.inv(problem.information(place) + problem.before.precision), slopes
 
 
 def of_own_eye(

@@ -23,7 +23,18 @@ from taichi_eye.analysis.analyze import Analysis
 from taichi_eye.errors import SceneError
 from taichi_eye.estimation import model_error as errors
 from taichi_eye.estimation.calibration import Calibration
-from taichi_eye.estimation.fit import SD_68, SD_95, Problem, Solution, interval, on_bound, profiled, solve, solve_many
+from taichi_eye.estimation.fit import (
+    SD_68,
+    SD_95,
+    WIDEN_P,
+    Problem,
+    Solution,
+    interval,
+    on_bound,
+    profiled,
+    solve,
+    solve_many,
+)
 from taichi_eye.estimation.observation import Observation
 from taichi_eye.estimation.reading import read, run_scene_of
 from taichi_eye.estimation.unknowns import IOP, UNKNOWNS, Known, beforehand, own_values
@@ -156,13 +167,13 @@ def estimate(
     return finished(problem, solve(problem, finely), started, film, notes)
 
 
-def estimate_many(problems: Sequence[Problem], tell: Callable[[int], None] = lambda done: None) -> list:
+def estimate_many(problems: Sequence[Problem], tell: Callable[[str], None] = lambda text: None) -> list:
     """Estimates, or the NoEstimate that refuses one, of many histories: their fine runs side by side."""
     started = time.perf_counter()
     out = []
-    for number, (problem, solution) in enumerate(zip(problems, solve_many(problems)), 1):
+    for number, (problem, solution) in enumerate(zip(problems, solve_many(problems, tell)), 1):
+        tell(f"profile {number} of {len(problems)}")
         out.append(solution if isinstance(solution, SceneError) else finished(problem, solution, started))
-        tell(number)
     return out
 
 
@@ -319,8 +330,14 @@ def _warnings(problem: Problem, solution: Solution, quantities, deviations) -> l
         spread = before.precision[j, j]
         if UNKNOWNS[name].tissue and spread and deviations[j] > LITTLE / np.sqrt(spread):
             said.append(f"the data tell little of {name}: it is what was taken for it beforehand")
+    agreement = problem.agreement(solution.place)
+    if agreement < WIDEN_P:
+        said.append(f"the eye is unlike what was known beforehand (probability {agreement:.2g})")
     if problem.factor > 1.0:
-        said.append(f"the residuals ask for a model error {problem.factor:.1f} times as large; the intervals have it")
+        said.append(
+            f"the residuals or what was known beforehand ask for a model error {problem.factor:.1f} times as large; "
+            "the intervals have it"
+        )
     if solution.stopped:
         said.append(f"ended on the rung {solution.rung}: the full model of this eye is {solution.stopped}")
     elif not solution.settled:

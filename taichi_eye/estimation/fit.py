@@ -5,8 +5,9 @@ error and P, m the precision and mean known beforehand, the estimate is the leas
 
     (y - d(x) - f(x))' S^-1 (y - d(x) - f(x)) + (x - m)' P (x - m)
 
-found by SciPy's trust-region least squares with derivatives from one run per unknown, which are kept as long as the
-place has not moved by more than NEAR. d is what the cheap model leaves out, the fine model less the cheap one: known at
+found by SciPy's trust-region least squares with derivatives from one run per unknown. They serve at other places, too,
+as long as they foretell what the runs there show (AGREES), and are bent by Broyden's update to what they missed; where
+a search ends they are taken anew. d is what the cheap model leaves out, the fine model less the cheap one: known at
 the last estimate, and around it by Broyden's derivative from the estimates before. It is taken anew until the estimate
 rests (SETTLED standard deviations), some three times: so the end is an estimate with the fine model at the price of the
 cheap one.
@@ -18,8 +19,9 @@ is that of Gauss and Laplace; the interval of the IOP is read off its profile, a
 
 The least value is that of chi^2 with as many degrees of freedom as data, less the unknowns of which nothing is known
 beforehand. Where there is a model error and the least is improbable (WIDEN_P), the model error is enlarged until the
-least is what it should be, at most by WIDEST; what is still improbable (REFUSED_P), or is so without a model error, is
-no eye of this model, and there is no estimate; nor is there one where the nearest eye is FAR_SHARE of the dent away.
+least is what it should be, at most by WIDEST; so it is where the eye is improbable by what was known beforehand alone.
+What WIDEST does not explain either, or is very improbable (REFUSED_P) without a model error, is no eye of this model,
+and there is no estimate; nor is there one where the nearest eye is FAR_SHARE of the dent away.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ from scipy.stats import chi2
 from taichi_eye.errors import NoEstimate, SceneError
 from taichi_eye.estimation.landmarks import landmarks_of
 from taichi_eye.estimation.model_error import CAVITY, NONE, ModelError
-from taichi_eye.estimation.motion import Motion, cheap, fine, fine_apices
+from taichi_eye.estimation.motion import ROUGH, Motion, cheap, fine, fine_apices
 from taichi_eye.estimation.observation import Observation
 from taichi_eye.estimation.unknowns import IOP, Beforehand
 from taichi_eye.scene import Scene
@@ -43,8 +45,9 @@ from taichi_eye.scene import Scene
 # of a logarithm, for derivatives: so much of what the data know it to, within limits. Small, for where a shell snaps
 # the derivatives by the IOP change by 4 % in .005; not smaller, for runs scatter by what their step counts do
 STEP_SD, STEPS = 0.5, (0.002, 0.02)
-NEAR = 1.5  # of these steps: derivatives hold so far
-TOLERANCE = 1e-5
+NEAR = 1.5  # of these steps: derivatives are those of the place itself so far
+AGREES = 0.2  # of a change of the prediction: derivatives that miss no more of it hold
+TOLERANCE, ON_THE_WAY = 1e-5, 1e-3  # of the sum of squares: at the end, and where a search goes on
 EVALUATIONS = 25
 STARTS_MMHG = 6.0, 8.0, 10.5, 13.5, 17.0, 22.0, 29.0, 38.0, 50.0
 SETTLED, ROUNDS = 0.1, 6
@@ -54,9 +57,11 @@ CHEAPEST = "membrane", "cavity"  # rungs that nothing is cheaper than
 LEFT_OUT = 0.5, 0.15  # of `CAVITY`: what added mass leaves out, and more to begin with
 DETOURS = 0.0, 0.05, 0.1  # of ln IOP, where a fine run is stopped: a shell folds less the higher its pressure
 WIDEN_P, REFUSED_P, WIDEST = 0.05, 1e-4, 3.0
-PROFILE_SD = 0.7, 1.4, 2.1, 2.8
+WIDENINGS, WIDER = 5, 1.5
+PROFILE_SD = 1.0, 2.1
 PROFILE_STEPS = 3
-GAIN = 0.05  # of the sum of squares along a profile, below which it is not made less
+GAIN = 0.05  # of the sum of squares, below which it is not made less
+RESTS = 3
 SD_68, SD_95 = 1.0, 1.959964
 FAR_SHARE = 0.08  # of the largest depth, rms
 ON_BOUND = 0.02  # of the way between the bounds
@@ -82,6 +87,21 @@ class Defect:
         self.place, self.value = place.copy(), value
 
 
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Derivatives of a prediction [n, unknowns] about a place; shown [n]: the prediction there; taken: whether by runs
+    about this very place, and not by an update."""
+
+    place: np.ndarray
+    shown: np.ndarray
+    matrix: np.ndarray
+    taken: bool
+
+    def missed(self, place: np.ndarray, shown: np.ndarray) -> np.ndarray:
+        """What they do not foretell of the prediction at another place."""
+        return shown - self.shown - self.matrix @ (place - self.place)
+
+
 @dataclass(eq=False)
 class Problem:
     """What was measured and what is known, with the runs made so far. defect: d above."""
@@ -93,20 +113,27 @@ class Problem:
     defect: Defect = field(init=False)
     runs: int = field(init=False, default=0)
     _shown: dict = field(init=False, default_factory=dict)
-    _slopes: tuple | None = field(init=False, default=None)
+    _slopes: list[Slopes] = field(init=False, default_factory=list)
 
     def __post_init__(self):
         self.defect = Defect(len(self.seen.values), len(self.before.names))
         values, vectors = np.linalg.eigh(self.before.precision)
         self._steps = np.full(len(self.before.names), STEPS[0])
         self._prior = np.sqrt(np.clip(values, 0.0, None))[:, None] * vectors.T
-        self._noise, self._wrong, cheap_wrong = (
-            self.seen.noise(),
-            self.seen.model_error(self.model),
-            self.seen.model_error(CAVITY),
-        )
+        self._noise = self.seen.noise()
+        fidelity = self.before.base.numerics.fidelity
+        self.climb(fidelity if fidelity in CHEAPEST else ROUGH)
+        self.shape(self.seen.values)
+
+    def shape(self, shown: np.ndarray) -> None:
+        """Take the model error of a motion that shows these values, once there is one in place of what was measured.
+
+        A model error has the shape of the motion. With that of what was measured it has the shape of the noise, too,
+        and a dent that is too shallow is free of it (Peelle's puzzle): with 10 um of noise and 61 um of model error, of
+        an eye that is 0.48 mm deep one of 80 mmHg was likelier than its own of 32.
+        """
+        self._wrong, cheap_wrong = (self.seen.model_error(model, shown) for model in (self.model, CAVITY))
         self._cheap_wrong = cheap_wrong + np.diag(np.diag(cheap_wrong))
-        self.climb("membrane" if self.before.base.numerics.fidelity == "membrane" else "cavity")
         self.widen(1.0)
 
     def widen(self, factor: float, cavity: float = 0.0) -> None:
@@ -117,7 +144,7 @@ class Problem:
 
     def climb(self, rung: str) -> None:
         """Take another cheap rung."""
-        self.rung, self._shown, self._slopes = rung, {}, None
+        self.rung, self._shown, self._slopes = rung, {}, []
 
     def motion(self, place: np.ndarray) -> Motion | None:
         """The cheap motion at a place; None where there can be no such eye."""
@@ -152,10 +179,43 @@ class Problem:
         off = self.residuals(place)
         return float(off @ off) if np.isfinite(off).all() else np.inf
 
-    def slopes(self, place: np.ndarray) -> np.ndarray:
-        """Derivatives of the prediction and its defect [n, unknowns], those of a place nearby where there are any."""
-        if self._slopes is not None and (np.abs(place - self._slopes[0]) <= NEAR * self._steps).all():
-            return self._slopes[1] + self.defect.slopes
+    def agreement(self, place: np.ndarray) -> float:
+        """Probability that an eye is so far from what is known beforehand; 1 where nothing is.
+
+        Beside the sum of all squares, in which the many data, of which a model error takes up most, would hide it.
+        """
+        known, off = int((np.diag(self.before.precision) > 0.0).sum()), self._prior @ (place - self.before.mean)
+        return float(chi2.sf(off @ off, known)) if known else 1.0
+
+    def slopes(self, place: np.ndarray, anew: bool = False) -> np.ndarray:
+        """Derivatives of the prediction and its defect [n, unknowns]; anew: those of the place itself, no others."""
+        known = self._known_slopes(place, anew) or self._taken_slopes(place)
+        if np.isfinite(known.shown).all() and not any(known is one for one in self._slopes):
+            self._slopes.append(known)
+        return known.matrix + self.defect.slopes
+
+    def _known_slopes(self, place: np.ndarray, anew: bool) -> Slopes | None:
+        """Those taken at the place, or those of another that foretell best what is shown here, as long as they do."""
+        far = lambda one: float((np.abs(place - one.place) / self._steps).max())
+        own = min((one for one in self._slopes if one.taken), key=far, default=None)
+        if own is not None and far(own) <= NEAR:
+            return own
+        here = self.predict(place)
+        if anew or not self._slopes or not np.isfinite(here).all():
+            return None
+        size = lambda values: float(np.linalg.norm(self.whitened(values)))
+        best = min(self._slopes, key=lambda one: size(one.missed(place, here)))
+        if far(best) <= NEAR:
+            return best
+        missed = best.missed(place, here)
+        if size(missed) > AGREES * size(here - best.shown):
+            return None
+        scale = np.sqrt(np.diag(_inverse(self._information(best.matrix) + self.before.precision)))
+        moved = (place - best.place) / scale
+        return Slopes(place.copy(), here, best.matrix + np.outer(missed, moved / scale) / (moved @ moved), False)
+
+    def _taken_slopes(self, place: np.ndarray) -> Slopes:
+        """From one run per unknown."""
         here, columns = self.predict(place), []
         for k in range(len(place)):
             for step in (self._steps[k], -self._steps[k]):
@@ -165,10 +225,10 @@ class Problem:
                 if np.isfinite(column).all():
                     break
             columns.append(np.nan_to_num(column))
-        self._slopes = np.array(place, float), np.array(columns).T
-        known = (self.whitened(self._slopes[1]) ** 2).sum(axis=0) + np.diag(self.before.precision)
+        matrix = np.array(columns).T
+        known = np.diag(self._information(matrix)) + np.diag(self.before.precision)
         self._steps = np.clip(STEP_SD / np.sqrt(np.maximum(known, 1e-12)), *STEPS)
-        return self._slopes[1] + self.defect.slopes
+        return Slopes(np.array(place, float), here, matrix, True)
 
     def jacobian(self, place: np.ndarray) -> np.ndarray:
         """Derivatives of `residuals`."""
@@ -179,12 +239,15 @@ class Problem:
         # the cheap model's alone: Broyden's few directions serve a search, and are no derivative in any other
         slopes = self.slopes(place) - self.defect.slopes
         if rows is None:
-            white = self.whitened(slopes)
-            return white.T @ white
+            return self._information(slopes)
         if not rows.any():
             return np.zeros((len(place),) * 2)
         part = slopes[rows]
         return part.T @ cho_solve(cho_factor(self.covariance[np.ix_(rows, rows)], lower=True), part)
+
+    def _information(self, slopes: np.ndarray) -> np.ndarray:
+        white = self.whitened(slopes)
+        return white.T @ white
 
     def information_of_noise(self, place: np.ndarray) -> np.ndarray:
         """What the data would tell were there no model error."""
@@ -229,14 +292,18 @@ def solve(problem: Problem, finely: bool = True) -> Solution:
         motion = fine(scene)
 
 
-def solve_many(problems: Sequence[Problem]) -> list[Solution | NoEstimate]:
+def solve_many(
+    problems: Sequence[Problem], tell: Callable[[str], None] = lambda text: None
+) -> list[Solution | NoEstimate]:
     """Estimates of many eyes from histories of their apices, their fine runs side by side."""
     found: list[Solution | NoEstimate | None] = [None] * len(problems)
     solving = {number: _solving(problem, True) for number, problem in enumerate(problems)}
     motions: dict[int, Motion | None] = dict.fromkeys(solving)
+    rounds = 0
     while solving:
-        asked = {}
-        for number in list(solving):
+        asked, rounds = {}, rounds + 1
+        for done, number in enumerate(list(solving), 1):
+            tell(f"search, round {rounds}, {done} of {len(motions)} eyes")
             try:
                 asked[number] = solving[number].send(motions[number])
             except StopIteration as end:
@@ -245,6 +312,7 @@ def solve_many(problems: Sequence[Problem]) -> list[Solution | NoEstimate]:
                 found[number] = refusal
             if found[number] is not None:
                 del solving[number]
+        tell(f"{len(asked)} fine runs")
         motions = dict(zip(asked, fine_apices(list(asked.values()))))
     return found
 
@@ -256,11 +324,14 @@ def _solving(problem: Problem, finely: bool) -> Generator[Scene, Motion, Solutio
     finely = finely and climbs
     rounds, stopped, settled = 0, "", False
     place = _begin(problem)
+    shown = problem.predict(place)
+    if np.isfinite(shown).all():
+        problem.shape(shown)
     if climbs:
         problem.climb("added_mass")
     for left_out in LEFT_OUT:
         problem.widen(1.0, left_out)
-        place = _best(problem, [place])
+        place = _best(problem, [place], ON_THE_WAY)
     place = _hopped(problem, place)
     if not finely:
         problem.widen(1.0)
@@ -289,7 +360,7 @@ def _solving(problem: Problem, finely: bool) -> Generator[Scene, Motion, Solutio
         problem.widen(1.0, LEFT_OUT[-1])
         place = _best(problem, [place])
     degrees = len(problem.seen.values) - int((np.diag(problem.before.precision) == 0.0).sum())
-    place = _widened(problem, place, degrees)
+    place = _at_rest(problem, _widened(problem, place, degrees))
     _refuse_far(problem, place)
     rung = rung if finely and not stopped else problem.rung
     like = Solution(place, np.empty(0), 0.0, degrees, 0.0, rung, rounds, stopped, settled or not finely)
@@ -308,7 +379,7 @@ def profiled(problem: Problem, solution: Solution) -> tuple[Solution, np.ndarray
     """The solution with its profile; a lower place that the profile comes upon is the solution."""
     place, root, lowest = profile(problem, solution)
     if problem.cost(lowest) < solution.chi2 - LOWER:
-        solution = _solution(problem, _best(problem, [lowest]), solution)
+        solution = _solution(problem, _at_rest(problem, _best(problem, [lowest])), solution)
         place, root, _ = profile(problem, solution)
     return solution, place, root
 
@@ -388,9 +459,9 @@ def _begin(problem: Problem) -> np.ndarray:
     """Where the search begins: the least of the landmarks, where the data have them."""
     marks = landmarks_of(problem.seen)
     if marks is None:
-        return _best(problem, _starts(problem))
+        return _best(problem, _starts(problem), ON_THE_WAY)
     rough = Problem(marks, problem.before, NONE, problem.tell)
-    place = _best(rough, _starts(rough)[:1])
+    place = _best(rough, _starts(rough)[:1], ON_THE_WAY)
     problem.runs += rough.runs
     return place
 
@@ -405,7 +476,7 @@ def _hopped(problem: Problem, place: np.ndarray) -> np.ndarray:
         values, vectors = np.linalg.eigh(_covariance(problem, place))
         away = HOP * np.sqrt(values[-1]) * vectors[:, -1]
         starts = [np.clip(place + side * away, before.low + 1e-6, before.high - 1e-6) for side in (-1.0, 1.0)]
-        found = [_best(problem, [start]) for start in starts if np.isfinite(problem.cost(start))]
+        found = [_best(problem, [start], ON_THE_WAY) for start in starts if np.isfinite(problem.cost(start))]
         lowest = min(found, key=problem.cost, default=place)
         if not problem.cost(lowest) < problem.cost(place) - LOWER:
             break
@@ -446,7 +517,17 @@ def _starts(problem: Problem) -> list[np.ndarray]:
     return [places[n] for n in order[:2]]
 
 
-def _best(problem: Problem, starts: list[np.ndarray]) -> np.ndarray:
+def _at_rest(problem: Problem, place: np.ndarray) -> np.ndarray:
+    """The least by derivatives of its own place."""
+    for _ in range(RESTS):
+        problem.slopes(place, anew=True)
+        before, place = place, _best(problem, [place])
+        if not problem.cost(place) < problem.cost(before) - GAIN:
+            break
+    return place
+
+
+def _best(problem: Problem, starts: list[np.ndarray], tolerance: float = TOLERANCE) -> np.ndarray:
     """The least from the first start; from the others as well, where that one is improbable."""
     before, best = problem.before, None
     for start in starts:
@@ -456,7 +537,7 @@ def _best(problem: Problem, starts: list[np.ndarray]) -> np.ndarray:
             jac=problem.jacobian,
             bounds=(before.low, before.high),
             x_scale="jac",
-            ftol=TOLERANCE,
+            ftol=tolerance,
             xtol=TOLERANCE,
             gtol=1e-9,
             max_nfev=EVALUATIONS,
@@ -469,28 +550,46 @@ def _best(problem: Problem, starts: list[np.ndarray]) -> np.ndarray:
 
 
 def _covariance(problem: Problem, place: np.ndarray) -> np.ndarray:
-    return np.linalg.pinv(problem.information(place) + problem.before.precision)
+    return _inverse(problem.information(place) + problem.before.precision)
+
+
+def _inverse(information: np.ndarray) -> np.ndarray:
+    return np.linalg.pinv(information)
 
 
 def _widened(problem: Problem, place: np.ndarray, degrees: int) -> np.ndarray:
-    """The place with a model error as large as the residuals ask for; NoEstimate where none explains them."""
-    for _ in range(3):
+    """The place with a model error as large as the residuals, and what was known beforehand, ask for; NoEstimate where
+    none explains them."""
+    for _ in range(WIDENINGS):
         cost = problem.cost(place)
-        if chi2.sf(cost, degrees) >= WIDEN_P:
+        improbable = chi2.sf(cost, degrees) < WIDEN_P
+        if not improbable and problem.agreement(place) >= WIDEN_P:
             return place
         if problem.factor >= WIDEST or problem.sums(place, 2.0 * WIDEST) >= problem.sums(place, problem.factor):
             break
-        excess = lambda factor: problem.sums(place, factor) - degrees
-        factor = WIDEST if excess(WIDEST) > 0.0 else float(brentq(excess, problem.factor, WIDEST, xtol=1e-2))
+        if improbable:
+            excess = lambda factor: problem.sums(place, factor) - degrees
+            factor = WIDEST if excess(WIDEST) > 0.0 else float(brentq(excess, problem.factor, WIDEST, xtol=1e-2))
+        else:
+            factor = min(WIDER * problem.factor, WIDEST)
         problem.widen(factor, problem.left_out)
         place = _best(problem, [place])
-    cost = problem.cost(place)
-    if chi2.sf(cost, degrees) < REFUSED_P:
-        where = f", even with a model error {problem.factor:.1f} times as large" if problem.factor > 1.0 else ""
-        iop = float(np.exp(place[problem.before.names.index(IOP)]))
+    cost, before = problem.cost(place), problem.before
+    where = f", even with a model error {problem.factor:.1f} times as large" if problem.factor > 1.0 else ""
+    iop = float(np.exp(place[before.names.index(IOP)]))
+    refused = WIDEN_P if problem.factor >= WIDEST else REFUSED_P
+    if chi2.sf(cost, degrees) < refused:
         raise NoEstimate(
             f"{problem.seen.name}: no eye of this scene moves like that{where}: chi^2 {cost:.0f} at {degrees} degrees "
             f"of freedom; the nearest has {iop:.1f} mmHg. Check the units, the scene and its puff, or allow for a "
             "model error"
+        )
+    if problem.agreement(place) < refused:
+        off = (place - before.mean) * np.sqrt(np.diag(before.precision))
+        worst = int(np.argmax(np.abs(off)))
+        raise NoEstimate(
+            f"{problem.seen.name}: only an eye unlike all that is known beforehand moves like that{where}: the nearest "
+            f"has {iop:.1f} mmHg and {before.names[worst]} {np.exp(place[worst]):.3g}, {abs(off[worst]):.1f} standard "
+            "deviations away. Check what is declared, the scene and its puff, or allow for a model error"
         )
     return place

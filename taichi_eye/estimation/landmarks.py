@@ -41,7 +41,7 @@ class Landmarks(Observation):
     def noise(self) -> np.ndarray:
         return np.diag(self.deviations**2)
 
-    def model_error(self, model) -> np.ndarray:
+    def model_error(self, model, shown: np.ndarray) -> np.ndarray:
         return np.zeros((len(self.values),) * 2)
 
 

@@ -1,10 +1,14 @@
 """How an eye moves, as the estimate runs it: the apex at every sample and the wall at every film frame.
 
-Three models of one scene. `cheap` is the cavity rung, tens of milliseconds for the search's beginning, or added mass on
-a coarse cloud, some 0.15 s, for its end; both with the compliance that the full model's speed of sound gives the
-chamber (their own would be stiffer, and the dent 2 % shallower). `fine` is the rung that the scene asks for, run a few
-times an estimate for what the cheap ones leave out. Lobes of a folding shell are not asked of the cheap ones, where
-they would cost ten times the run; the fine one is a run like any other, its guards included.
+Three models of one scene. `cheap` is the cavity rung, on few elements for the search's beginning, or added mass on a
+coarse cloud, for its end; both with the compliance that the full model's speed of sound gives the chamber (their own
+would be stiffer, and the dent 2 % shallower). `fine` is the rung that the scene asks for, run a few times an estimate
+for what the cheap ones leave out. Lobes of a folding shell are not asked of the cheap ones, where they would cost ten
+times the run; the fine one is a run like any other, its guards included.
+
+Measured on three clinical eyes: the cavity is 7 to 15 um (rms) off the full model on 14 elements as on 32, and a run
+takes 0.03 s instead of 0.1; added mass is 1 to 2 um off on 20 elements and on 24, in 0.09 and 0.13 s, its slopes with
+the pressure 1.5 to 6 % off; on 16 elements they are 3 to 13 % off.
 """
 
 from __future__ import annotations
@@ -29,8 +33,9 @@ from taichi_eye.scene import Scene
 from taichi_eye.solver.reduced import AddedMass, Cavity, Membrane
 from taichi_eye.units import MM, MM3, MMHG, MS
 
-ELEMENTS = {"membrane": 32, "cavity": 32, "added_mass": 24}
-RUNS = {"membrane": Membrane, "cavity": Cavity, "added_mass": AddedMass}
+ROUGH = "rough"  # the cavity rung where a search begins
+ELEMENTS = {ROUGH: 16, "membrane": 32, "cavity": 32, "added_mass": 20}
+RUNS = {ROUGH: Cavity, "membrane": Membrane, "cavity": Cavity, "added_mass": AddedMass}
 TRAVEL = 1.5  # of the wall in spacings between two flow maps: 0.5 um of the apex, and half the time
 FRIEDENWALD_MMHG = REFERENCE_IOP / MMHG  # at which such a globe is named
 BETWEEN = 12  # places between two nodes of a wall that its curve is taken at
@@ -99,7 +104,7 @@ def cheap(scene: Scene, rung: str = "cavity") -> Motion:
     """The scene's motion on a cheap rung, one of RUNS."""
     spacing = eye_of(scene).section.cornea_length / MM / ELEMENTS[rung]
     changes = {
-        "numerics.fidelity": rung,
+        "numerics.fidelity": "cavity" if rung == ROUGH else rung,
         "numerics.spacing_mm": spacing,
         "numerics.refresh_travel": TRAVEL,
         **_softer(scene),

@@ -7,7 +7,7 @@ STATIONS_MM, from a film) and `ParameterRow` (clinical parameters of one examina
     values [n], groups [n]   the data in mm or in their own units, and the part of the puff or the parameter each shows
     predict(motion)          the same of a motion (`taichi_eye.estimation.motion`), NaN where it does not show it
     noise()                  covariance [n, n] of what measuring adds
-    model_error(model)       covariance [n, n] of what the model gets wrong
+    model_error(model, shown) covariance [n, n] of what the model gets wrong of a motion that shows the values `shown`
     shown                    unknowns that the film itself shows (thickness, radius)
 
 Deflections are relative to the flanks, so the retreat of the whole eye drops out of them as it does in the clinic.
@@ -62,8 +62,8 @@ class Observation(ABC):
         """Covariance of what was measured."""
 
     @abstractmethod
-    def model_error(self, model: ModelError) -> np.ndarray:
-        """Covariance of what the model gets wrong."""
+    def model_error(self, model: ModelError, shown: np.ndarray) -> np.ndarray:
+        """Covariance of what the model gets wrong of a motion that shows these values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +86,12 @@ class ApexHistory(Observation):
     def noise(self) -> np.ndarray:
         return self.noise_mm**2 * np.eye(len(self.values))
 
-    def model_error(self, model: ModelError) -> np.ndarray:
-        size = model.history_mm * errors.envelope(self.values)
+    def model_error(self, model: ModelError, shown: np.ndarray) -> np.ndarray:
+        size = model.history_mm * errors.envelope(shown)
         apart = self.time_ms[:, None] - self.time_ms
         passing = size[:, None] * size * errors.correlation(apart, errors.TIME_MS)
-        pace = np.gradient(moving(self.time_ms, self.values, self.time_ms, 1.0, 2), self.time_ms)
-        return passing + model.history_mm**2 * errors.lasting(self.values, pace)
+        pace = np.gradient(moving(self.time_ms, shown, self.time_ms, 1.0, 2), self.time_ms)
+        return passing + model.history_mm**2 * errors.lasting(shown, pace)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,9 +132,9 @@ class FilmSurface(Observation):
         white = self.noise_mm**2 * np.eye(len(self.values))
         return white + _reading(self.values, self.time_ms[:, None] - self.time_ms, self.x_mm[:, None] - self.x_mm)
 
-    def model_error(self, model: ModelError) -> np.ndarray:
+    def model_error(self, model: ModelError, shown: np.ndarray) -> np.ndarray:
         apex = self.x_mm == 0.0
-        depth = np.interp(self.time_ms, self.time_ms[apex], self.values[apex])
+        depth = np.interp(self.time_ms, self.time_ms[apex], shown[apex])
         size = model.history_mm * errors.envelope(depth)
         along = errors.correlation(self.x_mm[:, None] - self.x_mm, errors.REACH_MM)
         return size[:, None] * size * errors.correlation(self.time_ms[:, None] - self.time_ms, errors.TIME_MS) * along
@@ -167,8 +167,8 @@ class ParameterRow(Observation):
     def noise(self) -> np.ndarray:
         return np.diag(self.deviations**2)
 
-    def model_error(self, model: ModelError) -> np.ndarray:
-        return np.diag([model.of(name, value) ** 2 for name, value in zip(self.names, self.values)])
+    def model_error(self, model: ModelError, shown: np.ndarray) -> np.ndarray:
+        return np.diag([model.of(name, value) ** 2 for name, value in zip(self.names, shown)])
 
 
 def of_history(

@@ -81,12 +81,14 @@ def draw_fit(found: Estimate) -> Figure:
     below.axhline(0.0, color=INK, linewidth=0.6)
     below.set_ylabel("residual over its\nstandard deviation")
     iop = found[IOP]
-    side.plot(found.profile_mmhg, found.profile_root**2, "o-", color=FIT, markersize=4)
+    between = np.linspace(found.profile_mmhg[0], found.profile_mmhg[-1], 201)
+    side.plot(between, np.interp(between, found.profile_mmhg, found.profile_root) ** 2, color=FIT)
+    side.plot(found.profile_mmhg, found.profile_root**2, "o", color=FIT, markersize=4)
     ends = side.get_xlim()
     for width, label in ((SD_68, "68 %"), (SD_95, "95 %")):
         side.axhline(width**2, color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
         side.annotate(
-            label, (ends[1], width**2), (-2, 2), textcoords="offset points", ha="right", fontsize=8, color=GREY
+            label, (iop.value, width**2), (0, 2), textcoords="offset points", ha="center", fontsize=8, color=GREY
         )
     for value in iop.range95:
         if ends[0] <= value <= ends[1]:

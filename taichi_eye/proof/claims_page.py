@@ -217,7 +217,7 @@ def _whole_history() -> str:
         f"with the puff known to {100 * clinic.PUFF_SPREAD:.1f} % as well, {nothing:.2f} with a population for the "
         f"rest, and {wrong:.2f} where the model is wrong by {HISTORY_ERROR_UM:g} um: not the camera is the limit "
         "(standard "
-        "deviations, bound of Cramer and Rao; what estimates come to: `taichi-eye estimates`)."
+        "deviations, bound of Cramer and Rao; what estimates come to: `taichi-eye docs estimate`)."
     )
 
 

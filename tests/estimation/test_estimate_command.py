@@ -1,17 +1,19 @@
 """The commands: what they write, what they refuse, and the study in a short form."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from closed_form import TIMES_MS
+from closed_form import BASE, TIMES_MS, motion, use
 
 from taichi_eye.cli import main
-from taichi_eye.estimation.bounds import of_own_eye
-from taichi_eye.estimation.estimate import Estimate, estimate
+from taichi_eye.errors import SceneError
+from taichi_eye.estimation.bounds import at_truth, best_at_truth, of_own_eye
+from taichi_eye.estimation.estimate import Estimate, estimate, problem_of
 from taichi_eye.estimation.motion import cheap
-from taichi_eye.estimation.observation import ParameterRow
+from taichi_eye.estimation.observation import ParameterRow, of_history
 from taichi_eye.estimation.parameters import REPEATABILITY
 from taichi_eye.estimation.unknowns import own_values, scene_with
 from taichi_eye.proof import estimates
@@ -179,11 +181,57 @@ def test_the_study_in_a_short_form(scene_file, tmp_path, capsys):
     assert "estimates has alone" in capsys.readouterr().err
 
 
+def test_eyes_of_another_model_are_counted_as_right_wrong_and_refused(monkeypatch):
+    use(monkeypatch)
+    scene, number = BASE.but({"puff.time_course": "corvis"}), iter(range(9))
+    own = own_values(scene)
+    exactly = {name: value for name, value in own.items() if name != "iop_mmhg"}
+
+    def made(scene, count, seed, change):
+        eyes = []
+        for _ in range(count):
+            truth = {**own, "iop_mmhg": 15.0 + next(number)}
+            eyes.append(estimates.Made(truth, motion(scene_with(scene, truth))))
+        return eyes
+
+    def wrong(problems, tell):
+        # the first is right, the second is of another eye, the third is refused
+        found = [estimate(one.seen, BASE, exactly, model_error_um=0.0) for one in problems[:2]]
+        assert found[0].widened == 1.0
+        far = replace(found[1].quantities[0], range95=(40.0, 41.0), value=40.5, deviation=0.4)
+        return [found[0], replace(found[1], quantities=(far,), widened=2.0), SceneError("no eye")]
+
+    monkeypatch.setattr(estimates, "made", made)
+    monkeypatch.setattr(estimates, "estimate_many", wrong)
+    covered, told, sure = estimates.measure(scene, 3, 5, "others", lambda text: None)[0]
+    assert covered.value == 2 and told.value == 2 and sure.value == 1 and sure.holds is False
+    assert "1 hold the truth, 1 by an enlarged model error" in told.note and "refused" in told.note
+
+
 def test_a_bound_falls_with_the_noise_and_with_what_is_known(scene_file):
     scene = load_scene(scene_file)
     alone = {name: value for name, value in own_values(scene).items() if name != "iop_mmhg"}
     assert of_own_eye(scene, alone, 20.0) == pytest.approx(2.0 * of_own_eye(scene, alone, 10.0), rel=0.1)
     assert of_own_eye(scene, alone) < of_own_eye(scene, {}) < of_own_eye(scene, {}, model_error_um=30.0)
+
+
+def test_the_best_linear_estimate_is_as_far_off_as_the_noise_along_the_slopes(scene_file):
+    scene = load_scene(scene_file)
+    truth = {**own_values(scene), "iop_mmhg": 17.0}
+    motion, noise = cheap(scene_with(scene, truth)), 0.01 * np.random.default_rng(8).standard_normal(len(TIMES_MS))
+    seen = of_history("eye", TIMES_MS, np.interp(TIMES_MS, motion.time_ms, motion.apex_mm) + noise, False, 0.01)
+    problem = problem_of(seen, scene, {n: v for n, v in truth.items() if n != "iop_mmhg"}, model_error_um=0.0)
+    ends = [
+        np.interp(TIMES_MS, one.time_ms, one.apex_mm)
+        for one in (cheap(scene_with(scene, {**truth, "iop_mmhg": 17.0 * np.exp(step)})) for step in (0.003, -0.003))
+    ]
+    slope = (ends[0] - ends[1]) / 0.006
+    best = best_at_truth(problem, truth, motion)
+    assert np.log(best / 17.0) == pytest.approx(slope @ noise / (slope @ slope), rel=0.05, abs=1e-5)
+    assert at_truth(problem, truth) == pytest.approx(17.0 * 0.01 / np.linalg.norm(slope), rel=0.05)
+    # and the estimate is that one, to a tenth of its standard deviation
+    found = estimate(seen, scene, {n: v for n, v in truth.items() if n != "iop_mmhg"}, model_error_um=0.0)
+    assert abs(found["iop_mmhg"].value - best) < 0.1 * found["iop_mmhg"].deviation
 
 
 def test_the_package_s_own_name_is_the_function():

@@ -56,6 +56,30 @@ def test_intervals_of_many_eyes_hold_the_truth_as_often_as_they_say(monkeypatch)
     assert 0.2 < np.mean(probability) < 0.8
 
 
+def test_derivatives_serve_at_other_places_as_long_as_they_foretell_what_is_shown_there(monkeypatch):
+    use(monkeypatch)
+    problem = problem_of(seen(scene_with(BASE, TRUTH), 12), BASE, ELSE, model_error_um=0.0)
+    place = np.log([TRUTH[name] for name in problem.before.names])
+    near = place + np.random.default_rng(13).uniform(0.03, 0.04, len(place))
+    problem.slopes(place)
+    runs = problem.runs
+    bent = problem.slopes(near)
+    assert problem.runs == runs + 1  # that of the place itself
+    assert bent @ (near - place) == pytest.approx(problem.predict(near) - problem.predict(place), abs=1e-12)
+    # by central differences of the closed form
+    exact = np.array(
+        [(problem.predict(near + step) - problem.predict(near - step)) / 2e-4 for step in 1e-4 * np.eye(len(place))]
+    ).T
+    anew = problem.slopes(near, anew=True)
+    assert np.linalg.norm(anew - exact) < 0.02 * np.linalg.norm(exact)
+    assert np.linalg.norm(bent - exact) < 0.2 * np.linalg.norm(exact)
+    # both are kept, and the better serves
+    runs = problem.runs
+    assert problem.slopes(near) == pytest.approx(anew) and problem.runs == runs
+    problem.slopes(place + [0.7, -0.5, 0.5])
+    assert problem.runs == runs + 1 + len(place)  # too far to foretell anything
+
+
 def test_the_end_is_that_of_the_fine_model_though_the_search_is_the_cheap_ones(monkeypatch):
     use(monkeypatch, lambda scene: motion(scene, late_ms=0.1, deeper=1.01))
     scene = scene_with(BASE, TRUTH)
@@ -92,7 +116,32 @@ def test_what_no_eye_could_do_is_refused_and_with_a_model_error_the_intervals_wi
     assert any("larger" in text or "times as large" in text for text in wide.warnings)
     wild = of_history("wild", TIMES_MS, bent * np.cos(TIMES_MS) ** 2, False, 0.01)
     with pytest.raises(NoEstimate, match="the nearest is .* um off"):
-        estimate(wild, BASE, known, model_error_um=20.0)
+        estimate(wild, BASE, known, model_error_um=100.0)
+
+
+def test_an_eye_unlike_what_is_known_has_wider_intervals_or_none(monkeypatch):
+    use(monkeypatch)
+    data = seen(scene_with(BASE, {**TRUTH, "in_plane": 1.45}), 15)
+    known = {**ELSE, "globe": 0.85}
+    like = estimate(data, BASE, {**known, "in_plane": (1.45, 0.1)}, model_error_um=15.0)
+    unlike = estimate(data, BASE, {**known, "in_plane": (1.0, 0.1)}, model_error_um=15.0)
+    assert like.widened == 1.0 and not like.warnings
+    assert unlike.widened >= 1.5 and unlike["iop_mmhg"].deviation > 1.3 * like["iop_mmhg"].deviation
+    # of one value alone, five standard deviations off, and hidden in the sum over 139 others
+    with pytest.raises(NoEstimate, match="only an eye unlike all that is known.* in_plane 1"):
+        estimate(data, BASE, {**known, "in_plane": (1.0, 0.067)}, model_error_um=0.0)
+
+
+def test_a_model_error_does_not_take_noise_for_a_dent_too_shallow(monkeypatch):
+    use(monkeypatch)
+    off = []
+    for seed in range(6):
+        known = {**ELSE, "in_plane": (1.25, 0.4), "globe": (0.85, 0.3)}
+        problem = problem_of(seen(scene_with(BASE, TRUTH), seed), BASE, known, model_error_um=100.0)
+        solution = solve(problem)
+        off.append((solution.place[0] - np.log(19.3)) / np.sqrt(solution.covariance[0, 0]))
+    # the intervals have the model error, which these eyes have not: what noise does is little beside it
+    assert abs(np.mean(off)) < 0.15 and np.max(np.abs(off)) < 0.5
 
 
 def test_what_is_known_narrows_and_what_is_not_costs(monkeypatch):
@@ -141,7 +190,7 @@ def test_the_sum_with_a_larger_model_error_is_that_of_the_widened_problem(monkey
     assert problem.factor == 1.2 and found < problem.cost(place)
     problem.widen(2.5, left_out)
     assert found == pytest.approx(problem.cost(place), rel=1e-9)
-    wrong = problem.seen.model_error(problem.model)
+    wrong = problem.seen.model_error(problem.model, problem.seen.values)
     if not left_out:
         assert problem.covariance == pytest.approx(problem.seen.noise() + 2.5**2 * wrong, rel=1e-12)
 

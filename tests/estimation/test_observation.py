@@ -89,7 +89,7 @@ def test_a_run_s_own_traces_hold_no_retreat_and_are_thinned_to_a_camera_s_pace(t
 def test_covariances_are_covariances_and_a_model_error_is_where_the_dent_is():
     history = of_history("a", TIMES_MS, DEPTH, False, 0.01)
     error = ModelError(0.025, {}, 0.1)
-    covariance = history.model_error(error)
+    covariance = history.model_error(error, history.values)
     assert np.linalg.eigvalsh(covariance)[0] > -1e-12
     top = int(np.argmax(DEPTH))
     # what passes and what lasts, each as large; the apex stands still there, so that being late does not show
@@ -105,8 +105,10 @@ def test_covariances_are_covariances_and_a_model_error_is_where_the_dent_is():
         names=("da_ratio_1mm", "a1_time_ms"),
         deviations=np.array([0.1, 0.2]),
     )
-    assert np.sqrt(np.diag(row.model_error(ModelError(0.0, {"a1_time_ms": 0.3}, 0.1)))) == pytest.approx([0.1, 0.3])
-    assert not row.model_error(model_error.NONE).any()
+    assert np.sqrt(np.diag(row.model_error(ModelError(0.0, {"a1_time_ms": 0.3}, 0.1), row.values))) == pytest.approx(
+        [0.1, 0.3]
+    )
+    assert not row.model_error(model_error.NONE, row.values).any()
 
 
 def test_the_model_error_of_a_scene_is_its_distance_from_living_eyes():
