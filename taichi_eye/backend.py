@@ -152,6 +152,12 @@ def refuse_lost(made_in: int) -> None:
         )
 
 
+def launcher(kernel):
+    """A kernel that returns nothing, launched by the shortest way that the language in force offers: for kernels that
+    are launched at every sample. Arguments are Python's integers and NumPy arrays."""
+    return frontend.launcher(kernel) if NAME == "taichi" else kernel
+
+
 def on_cpu() -> bool:
     """Whether kernels run on the CPU."""
     return _started()["arch"] == "cpu"

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from taichi_eye import backend
@@ -73,3 +74,22 @@ def test_a_compile_error_says_file_line_and_function():
     line = inspect.getsourcelines(broken)[1] + 2
     with pytest.raises(getattr(ti, NAME_ERROR), match=f'test_frontend.py", line {line}, in broken'):
         broken()
+
+
+@ti.kernel
+def add(number: int, to: ti.types.ndarray()):
+    for i in range(to.shape[0]):
+        to[i] += number
+
+
+def test_a_launcher_does_what_the_kernel_does():
+    backend.real()
+    launch, x, y, whole = backend.launcher(add), np.zeros(5), np.zeros(9), np.zeros(4, dtype=np.int32)
+    for number, to in ((1, x), (2, x), (3, y), (4, whole), (5, x), (6, x), (-7, y), (8, whole)):
+        launch(number, to)
+    assert [x.tolist(), y.tolist(), whole.tolist()] == [[14.0] * 5, [-4.0] * 9, [12] * 4]
+    for _ in range(3):
+        with pytest.raises(ValueError, match="[Cc]ontiguous"):
+            launch(1, np.zeros(8)[::2])
+    launch(1, x)
+    assert x.tolist() == [15.0] * 5

@@ -9,6 +9,7 @@ eye that needs fewer steps than another waits.
 
 import numpy as np
 
+from taichi_eye import backend
 from taichi_eye.lang import ti
 from taichi_eye.solver.coupling import Coupling, plan_of
 from taichi_eye.solver.figures import QUANTITIES
@@ -63,8 +64,8 @@ class Sampler:
     """
 
     def __init__(self, coupling: Coupling, motion: Motion, survey: Survey):
-        self._march = coupling.march_all
-        self._look, self._take_each = _launches(coupling, motion, survey)
+        self._march = backend.launcher(coupling.march_all)
+        self._look, self._take_each = (backend.launcher(kernel) for kernel in _launches(coupling, motion, survey))
         self.coupling, self.motion, self.survey, self._nodes = coupling, motion, survey, coupling.aqueous.nodes
         self.rows = np.zeros((len(self._nodes), len(QUANTITIES)))
 
