@@ -210,7 +210,7 @@ def _add_checks(commands, listed: bool) -> None:
     options.take(study, "scene", "set", "only")
     study.add_argument("--eyes", type=options.count("eyes", 10000), default=40, metavar="N", help="eyes of a part (40)")
     study.add_argument("--seed", type=int, default=14, metavar="N", help="of the eyes and their noise (14)")
-    options.take(study, "json", "out", "threads")
+    options.take(study, "json", "out", "threads", "quiet")
     study.set_defaults(do=_study)
     claims = add(
         "claims",
@@ -427,7 +427,8 @@ def _study(given) -> int:
 
     proof, scene = _asked(given), load_scene(given.scene, given.overrides)
     backend.init("cpu", "f64", given.threads)
-    return 0 if proof.report(scene, given.only, given.eyes, given.seed, given.out, given.json) else 1
+    found = proof.report(scene, given.only, given.eyes, given.seed, given.out, given.json, progress=not given.quiet)
+    return 0 if found else 1
 
 
 def _prove(given) -> int:

@@ -10,11 +10,11 @@ import numpy as np
 
 from taichi_eye.errors import SceneError
 from taichi_eye.estimation.estimate import Estimate, Quantity
+from taichi_eye.estimation.fit import SD_95
 from taichi_eye.estimation.parameters import Row
 from taichi_eye.estimation.unknowns import IOP, UNKNOWNS
 
 AGAINST = "biop_mmhg", "iop_mmhg", "iop_nct_mmhg"  # what a table may be held against, the first that it has
-LIMITS_SD = 1.96
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def agreement_of(against: str, pairs: Sequence[tuple[Quantity, float]]) -> Agree
     bias, deviation = float(off.mean()), float(off.std(ddof=1))
     slope = float(np.polyfit(reference, estimates, 1)[0]) if np.ptp(reference) > 0.0 else math.nan
     inside = np.mean([q.range95[0] <= value <= q.range95[1] for q, value in pairs])
-    limits = bias - LIMITS_SD * deviation, bias + LIMITS_SD * deviation
+    limits = bias - SD_95 * deviation, bias + SD_95 * deviation
     return Agreement(against, len(pairs), bias, deviation, slope, limits, float(inside))
 
 

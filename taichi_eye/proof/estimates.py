@@ -384,7 +384,13 @@ PARTS = "alone", "tissue", "puff", "films", "others", "time"
 
 
 def report(
-    scene: Scene, only: Sequence[str] = (), count: int = EYES, seed: int = SEED, out=None, json_file=None
+    scene: Scene,
+    only: Sequence[str] = (),
+    count: int = EYES,
+    seed: int = SEED,
+    out=None,
+    json_file=None,
+    progress: bool = True,
 ) -> bool:
     """Measure the parts named (all without names), print the table, write the page; whether all that is asked holds."""
     problem_of(of_history("", INTERVAL_MS * np.arange(FRAMES), np.zeros(FRAMES), False, 1.0), scene, model_error_um=0.0)
@@ -397,7 +403,8 @@ def report(
 
         return run
 
-    return bench.report(only or PARTS, out, json_file, parts={name: part(name) for name in PARTS}, command="estimates")
+    parts = {name: part(name) for name in PARTS}
+    return bench.report(only or PARTS, out, json_file, parts=parts, command="estimates", progress=progress)
 
 
 def _draw(title: str, found: Outcome) -> Figure:
@@ -405,7 +412,7 @@ def _draw(title: str, found: Outcome) -> Figure:
     canvas = Figure(figsize=(7.0, 4.2), dpi=110, layout="constrained")
     axes = canvas.subplots()
     good = np.isfinite(found.estimate)
-    off, width = (found.estimate - found.truth)[good], 1.96 * found.deviation[good]
+    off, width = (found.estimate - found.truth)[good], SD_95 * found.deviation[good]
     inside = found.covered[good] > 0.0
     for which, colour, label in ((inside, "#14539a", "interval holds the truth"), (~inside, "#b03a48", "does not")):
         axes.errorbar(
