@@ -203,7 +203,8 @@ def _add_checks(commands, listed: bool) -> None:
         "estimates",
         "put the estimate to eyes whose pressure is known",
         description="Estimates of made eyes of a scene: how far off, and whether their intervals hold the truth; by "
-        "traces, by films, with a wrong puff, by other models. Writes one table and one page; 40 eyes take over an hour.",
+        "traces, by films, with a wrong puff, by other models. Writes one table and one page; 40 eyes take an hour or "
+        "two.",
         parts=lambda: _proof("estimates").PARTS,
         examples=("taichi-eye check estimates corvis_healthy --only alone --eyes 8",),
     )

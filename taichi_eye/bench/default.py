@@ -18,8 +18,8 @@ from taichi_eye.solver.simulation import Simulation
 PEAK_MM = 0.959
 SETTINGS = (0.2, 40, 40), (0.2, 40, 160), (0.25, 20, 100), (0.3, 20, 100), (0.4, 15, 75)  # h [mm], c, c_m [m/s]
 QUICK, ERROR, SECONDS = (0.4, 15, 75), 0.6, 0.35  # one run: its setting, error [%] and time asked of it [s]
-TURNS = 9
 TWICE, LIMITS_ERROR, BOTH_S = (0.3, 20, 100), 0.1, 1.5  # the same of a run, its twin and their limit
+TURNS = 9
 
 
 def measure(stage, settings=SETTINGS, quick=QUICK, twice=TWICE):
