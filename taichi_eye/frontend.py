@@ -63,11 +63,10 @@ def launcher(kernel):
         if kinds != known or program() is not running:
             kernel(*args)
             known = compiled = None
-            own, now = kernel._primal, impl.get_runtime().prog
-            arrays = [kind for kind in kinds if type(kind) is tuple]
-            plain = all(kind is int or type(kind) is tuple and kind[2] for kind in kinds) and bool(arrays)
-            if plain and len(own.compiled_kernels) == 1 and not impl.current_cfg().debug:
-                (made,), program, known = own.compiled_kernels.values(), weakref.ref(now), kinds
+            now, found = impl.get_runtime().prog, kernel._primal.compiled_kernels.values()
+            plain = all(kind is int or type(kind) is tuple and kind[2] for kind in kinds)
+            if plain and len(found) == 1 and not impl.current_cfg().debug:
+                (made,), program, known = found, weakref.ref(now), kinds
                 compiled = now.compile_kernel(now.config(), now.get_device_caps(), made)
             return
         context = made.make_launch_context()

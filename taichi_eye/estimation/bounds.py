@@ -36,7 +36,7 @@ def best_at_truth(problem: Problem, truth: Mapping[str, float], motion: Motion) 
 def _linear(problem: Problem, truth: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The truth's place, and covariance and derivatives of the data there."""
     place = np.log([truth[name] for name in problem.before.names])
-    slopes = problem.slopes(place, anew=True) - problem.defect.slopes
+    slopes = problem.slopes(place, anew=True)
     return place, np.linalg.inv(problem.information(place) + problem.before.precision), slopes
 
 

@@ -188,11 +188,11 @@ class Problem:
         return float(chi2.sf(off @ off, known)) if known else 1.0
 
     def slopes(self, place: np.ndarray, anew: bool = False) -> np.ndarray:
-        """Derivatives of the prediction and its defect [n, unknowns]; anew: those of the place itself, no others."""
+        """Derivatives of the cheap prediction [n, unknowns]; anew: those of the place itself, no others."""
         known = self._known_slopes(place, anew) or self._taken_slopes(place)
         if np.isfinite(known.shown).all() and not any(known is one for one in self._slopes):
             self._slopes.append(known)
-        return known.matrix + self.defect.slopes
+        return known.matrix
 
     def _known_slopes(self, place: np.ndarray, anew: bool) -> Slopes | None:
         """Those taken at the place, or those of another that foretell best what is shown here, as long as they do."""
@@ -232,12 +232,12 @@ class Problem:
 
     def jacobian(self, place: np.ndarray) -> np.ndarray:
         """Derivatives of `residuals`."""
-        return np.vstack([self.whitened(self.slopes(place)), self._prior])
+        return np.vstack([self.whitened(self.slopes(place) + self.defect.slopes), self._prior])
 
     def information(self, place: np.ndarray, rows: np.ndarray | None = None) -> np.ndarray:
         """What the data (those of `rows`) tell of the unknowns: the inverse covariance."""
-        # the cheap model's alone: Broyden's few directions serve a search, and are no derivative in any other
-        slopes = self.slopes(place) - self.defect.slopes
+        # without the defect's: Broyden's few directions serve a search, and are no derivative in any other
+        slopes = self.slopes(place)
         if rows is None:
             return self._information(slopes)
         if not rows.any():
@@ -251,7 +251,7 @@ class Problem:
 
     def information_of_noise(self, place: np.ndarray) -> np.ndarray:
         """What the data would tell were there no model error."""
-        slopes = self.slopes(place) - self.defect.slopes
+        slopes = self.slopes(place)
         return slopes.T @ np.linalg.solve(self._noise, slopes)
 
     def sums(self, place: np.ndarray, factor: float) -> float:

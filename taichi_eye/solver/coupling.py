@@ -95,7 +95,8 @@ class Coupling:
         if self.team.lanes > 1:
             self.pressure_part = ti.Vector.field(2, fp, (eyes, PARTS))  # `Aqueous.pressure_sums`
         self._plan = None
-        self.march_all, self._step_all = _launches(self)
+        self.march_all, step_all = _launches(self)
+        self._step_all = backend.launcher(step_all)
 
     def setup(
         self, *, iterated: bool, aitken: bool, factor: float, tolerance: float, sweeps_max: int, eye: int = 0
@@ -333,17 +334,14 @@ def _launches(coupling):
 
     @ti.kernel
     def march_all(plan: ti.types.ndarray()):
-        if ti.static(team.lanes == 1):
+        if ti.static(team.block):
+            ti.loop_config(block_dim=team.block)
+        elif ti.static(team.lanes == 1):
             ti.loop_config(serialize=True)
-            for k in range(plan.shape[0]):
-                coupling.march(int(plan[k, 0]), 0, k, plan)
-        else:
-            if ti.static(team.block):
-                ti.loop_config(block_dim=team.block)
-            for n in range(team.extent(plan.shape[0], 0)):
-                k, lane, _ = team.seat(n, plan.shape[0], 0)
-                if lane >= 0:
-                    coupling.march(int(plan[k, 0]), lane, k, plan)
+        for n in range(team.extent(plan.shape[0], 0)):
+            k, lane, _ = team.seat(n, plan.shape[0], 0)
+            if lane >= 0:
+                coupling.march(int(plan[k, 0]), lane, k, plan)
 
     eyes, parts = cornea.first.shape[0], PARTS
 

@@ -20,6 +20,17 @@ from taichi_eye.mfpm import neighbours, operators
 from taichi_eye.solver import aqueous, cornea, coupling, globe, motion, survey, team
 from taichi_eye.solver.workspace import FEWEST
 
+# a shell that shears and relaxes under a jet that feels the dent, a globe behind that yields late
+ALL_OF_A_WALL = (
+    "cornea.flexural_modulus_mpa=0.1",
+    "cornea.viscoelastic_share=0.3",
+    "cornea.shear_modulus_kpa=10",
+    "cornea.shear_viscosity_ms=0.1",
+    "chamber.compliance_mm3_mmhg=0.2",
+    "chamber.globe_law=friedenwald",
+    "chamber.globe_delay_ms=0.5",
+    "puff.dent_feedback=0.5",
+)
 MODULES = aqueous, cornea, coupling, globe, motion, survey, team, operators, neighbours
 
 

@@ -15,6 +15,7 @@ import math
 import sys
 
 import numpy as np
+from plain import ALL_OF_A_WALL
 
 from taichi_eye import backend
 from taichi_eye.lang import ti
@@ -71,20 +72,10 @@ class SpinningTeam(Team):
 
 LANES = 2
 SHORT = ("numerics.spacing_mm=0.4", "numerics.sound_speed_m_s=20", "puff.duration_ms=2", "numerics.duration_ms=1")
-# all that a wall may have: a shell that shears and relaxes under a jet that feels the dent, a globe behind; an open
-# chamber without slip; loose coupling
+# all that a wall may have; an open chamber without slip; loose coupling
 EYES = (
     (),
-    (
-        "cornea.flexural_modulus_mpa=0.1",
-        "cornea.viscoelastic_share=0.3",
-        "cornea.shear_modulus_kpa=10",
-        "cornea.shear_viscosity_ms=0.1",
-        "chamber.compliance_mm3_mmhg=0.2",
-        "chamber.globe_law=friedenwald",
-        "puff.dent_feedback=0.5",
-        "numerics.spacing_mm=0.35",
-    ),
+    (*ALL_OF_A_WALL, "numerics.spacing_mm=0.35"),
     ("chamber.sealed=false", "puff.peak_kpa=3", "numerics.wall_condition=no_slip"),
     ("numerics.coupling=loose", "eye.iop_mmhg=25"),
 )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plain import PartedWays, Plain, Vector, as_python, in_turns
+from plain import ALL_OF_A_WALL, PartedWays, Plain, Vector, as_python, in_turns
 from processes import python
 
 from taichi_eye.scene import load_scene
@@ -16,20 +16,9 @@ from taichi_eye.solver.figures import NOT_CONVERGED, QUANTITIES, at
 from taichi_eye.solver.team import LANES, ONE_THREAD, Team
 
 COARSE = ("numerics.spacing_mm=0.5", "numerics.sound_speed_m_s=20")
-# all that a wall may have: a shell that shears and relaxes under a jet that feels the dent, a globe behind; an open
-# chamber without slip; loose coupling
+# all that a wall may have; an open chamber without slip; loose coupling
 EYES = (
-    (
-        "cornea.flexural_modulus_mpa=0.1",
-        "cornea.viscoelastic_share=0.3",
-        "cornea.shear_modulus_kpa=10",
-        "cornea.shear_viscosity_ms=0.1",
-        "chamber.compliance_mm3_mmhg=0.2",
-        "chamber.globe_law=friedenwald",
-        "chamber.globe_delay_ms=0.5",
-        "puff.dent_feedback=0.5",
-        "numerics.spacing_mm=0.5",
-    ),
+    (*ALL_OF_A_WALL, "numerics.spacing_mm=0.5"),
     ("chamber.sealed=false", "numerics.wall_condition=no_slip"),
     ("numerics.coupling=loose", "eye.iop_mmhg=25"),
 )
